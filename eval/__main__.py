@@ -1,0 +1,33 @@
+"""``python -m eval``: hydra composes the config, its types are checked, the cells are run."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from eval.config import CONFIGS, settings_of
+from eval.program import evaluate_all
+from l2p.errors import InputError
+
+
+@hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name="eval")
+def main(config: DictConfig) -> None:
+    """Run what the config asks for; 2 is the exit code of a user's error, 1 of cells that failed."""
+    command = shlex.join(["python", "-m", "eval", *HydraConfig.get().overrides.task])
+    try:
+        failed = evaluate_all(settings_of(config), Path(HydraConfig.get().runtime.output_dir), command)
+    except (InputError, FileNotFoundError) as error:
+        print(f"eval: {error}", file=sys.stderr)
+        sys.exit(2)
+    if failed:
+        print(f"eval: {failed} cell(s) failed, see the log; the same command tries them again", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""One cell of a run: a line cloud and a method. Its prediction is written with a record of what made it."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eval.config import Settings
+from eval.methods import Contender, Trial
+from eval.provenance import commit, source_digest
+from eval.scenes import Loaded, SceneSource, load
+from l2p.errors import InputError
+from l2p.io.atomic import atomic_file
+from l2p.lifting import lift_indexed
+from l2p.recovery import Recovery
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One scene, fraction, seed and method."""
+
+    scene: SceneSource
+    fraction: float
+    seed: int
+    contender: Contender
+    device: str
+
+    @property
+    def cloud_key(self) -> str:
+        """Name of the line cloud in files: scene, percent, seed."""
+        return f"{self.scene.name}_{100 * self.fraction:g}_{self.seed}"
+
+    @property
+    def key(self) -> str:
+        """Name of the cell in files."""
+        return f"{self.cloud_key}_{re.sub('[^a-z0-9]+', '-', self.contender.label.lower()).strip('-')}"
+
+    def trial(self) -> Trial:
+        """The line cloud, and the truth for references."""
+        xyz = load(self.scene.source).xyz
+        lines, index = lift_indexed(xyz, self.seed, self.fraction)
+        return Trial(self.cloud_key, lines, xyz[index], self.scene.kind, self.fraction, self.seed, self.device)
+
+    def identity(self) -> dict[str, Any]:
+        """All that the prediction depends on, but for the code."""
+        return {
+            "scene": self.scene.name,
+            "points": load(self.scene.source).digest,
+            "kind": self.scene.kind,
+            "fraction": self.fraction,
+            "seed": self.seed,
+            "method": {"class": type(self.contender).__name__, **asdict(self.contender)},  # type: ignore[call-overload]
+            "device": self.device,
+        }
+
+
+@dataclass(frozen=True)
+class Store:
+    """The folder of a run: ``predictions/KEY.npz`` with ``KEY.json``, its record; ``scores/KEY.json``."""
+
+    folder: Path
+
+    @cached_property
+    def predictions(self) -> Path:
+        """The folder of predictions."""
+        return _made(self.folder / "predictions")
+
+    @cached_property
+    def scores(self) -> Path:
+        """The folder of scores."""
+        return _made(self.folder / "scores")
+
+    def prediction(self, cell: Cell) -> Path:
+        """The recovery; once it is there, the cell is predicted."""
+        return self.predictions / f"{cell.key}.npz"
+
+    def record(self, cell: Cell) -> Path:
+        """What made the prediction."""
+        return self.predictions / f"{cell.key}.json"
+
+    def done(self, cell: Cell) -> bool:
+        """Whether the cell is predicted."""
+        return self.prediction(cell).is_file() and self.record(cell).is_file()
+
+    def check(self, cells: Sequence[Cell]) -> None:
+        """Refuse to mix: every prediction that is there must have been made with the settings of its cell."""
+        for cell in cells:
+            if not self.done(cell):
+                continue
+            made, wanted = read_json(self.record(cell))["identity"], _plain(cell.identity())
+            for name in sorted({*made, *wanted}):
+                if made.get(name) != wanted.get(name):
+                    raise InputError(
+                        f"{self.prediction(cell)} was made with {name} {made.get(name)}, not {wanted.get(name)}; "
+                        "choose another run folder (name=...), another label, or delete the file"
+                    )
+
+
+def cells_of(settings: Settings, scenes: Sequence[SceneSource]) -> list[Cell]:
+    """All cells, the first fraction of every scene first.
+
+    Raises
+    ------
+    InputError
+        If two cells would share a file.
+    """
+    cells = [
+        Cell(scene, fraction, seed, contender, settings.device)
+        for fraction in settings.fractions
+        for seed in settings.seeds
+        for scene in scenes
+        for contender in settings.methods
+    ]
+    owner: dict[str, str] = {}
+    for cell in cells:
+        label = cell.contender.label
+        if owner.setdefault(cell.key, label) != label:
+            raise InputError(
+                f"got labels {owner[cell.key]!r} and {label!r}; expected them to differ in letters or digits"
+            )
+    return cells
+
+
+def predict(cell: Cell, store: Store) -> None:
+    """Run the method and write the prediction whole or not at all, after its record."""
+    trial = cell.trial()
+    began = time.perf_counter()
+    recovery = cell.contender.recover(trial)
+    seconds = time.perf_counter() - began
+    record = {
+        "identity": cell.identity(),
+        "seconds": seconds,
+        "info": recovery.info,
+        "commit": commit(),
+        "code": source_digest(),
+        "made": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+    }
+    write_json(store.record(cell), record)
+    _compact(recovery).save(store.prediction(cell), overwrite=True)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write a JSON file whole or not at all."""
+    with atomic_file(path, overwrite=True) as file:
+        file.write((json.dumps(content, indent=1) + "\n").encode("utf-8"))
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file of this program."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def truth_of(cell: Cell) -> tuple[Loaded, np.ndarray]:
+    """The scene, and the true points of the cell in the order of its lines."""
+    scene = load(cell.scene.source)
+    return scene, scene.xyz[lift_indexed(scene.xyz, cell.seed, cell.fraction)[1]]
+
+
+def _compact(recovery: Recovery) -> Recovery:
+    """Neighbours fill most of a prediction: half the bytes do."""
+    if recovery.neighbors is None:
+        return recovery
+    return replace(recovery, neighbors=recovery.neighbors.astype(np.int32))
+
+
+def _plain(content: Any) -> Any:
+    """As it comes back from JSON."""
+    return json.loads(json.dumps(content))
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

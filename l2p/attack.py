@@ -1,0 +1,116 @@
+"""From a line cloud to points: choose a method, run it in the working frame, come back to scene units."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import torch
+
+from l2p.errors import InputError
+from l2p.frame import Frame
+from l2p.lines import LineCloud
+from l2p.methods import DEFAULT_METHOD, METHODS
+from l2p.neighborhoods import Heuristic, HeuristicConfig, Method, TomographicConfig, Tomography
+from l2p.progress import NO_PROGRESS, Progress
+from l2p.recovery import Recovery
+
+
+def recover(
+    lines: LineCloud,
+    method: str = DEFAULT_METHOD,
+    *,
+    rounds: int | None = None,
+    scene_kind: str = "indoor",
+    density: float = 1.0,
+    device: str = "cpu",
+    progress: Progress = NO_PROGRESS,
+) -> Recovery:
+    """Recover the points behind a line cloud.
+
+    Parameters
+    ----------
+    lines : LineCloud
+    method : str
+        ``heuristic``: the attack of Chelani et al. (CVPR 2021). ``tomography``: expectation maximisation on a
+        sparse grid, then the votes around its modes (:mod:`l2p.tomography`).
+    rounds : int, optional
+        Rounds of refinement; the method's own number when left out.
+    scene_kind, density :
+        What the paper's table of neighbours asks for (:class:`l2p.neighborhoods.HeuristicConfig`).
+    device : str
+        A torch device.
+    progress : Progress
+        Shows how far the work is.
+
+    Returns
+    -------
+    Recovery
+        Points in the order of the lines.
+
+    Raises
+    ------
+    InputError
+        If the line cloud is empty or the method or the device is unknown.
+
+    Examples
+    --------
+    >>> import numpy as np, l2p
+    >>> points = np.random.default_rng(0).normal(size=(200, 3))
+    >>> l2p.recover(l2p.lift(points, seed=0), method="heuristic").confidence.shape
+    (200,)
+    """
+    return run(lines, named_method(method, rounds, scene_kind, density), device=device, progress=progress, name=method)
+
+
+def named_method(name: str, rounds: int | None = None, scene_kind: str = "indoor", density: float = 1.0) -> Method:
+    """The attack of that name, ready to run."""
+    if name not in METHODS:
+        raise InputError(f"got method {name!r}; expected one of {', '.join(METHODS)}")
+    chosen: dict[str, Any] = {} if rounds is None else {"rounds": rounds}
+    if name == "tomography":
+        return Tomography(TomographicConfig(**chosen))
+    return Heuristic(HeuristicConfig(scene_kind=scene_kind, density=density, **chosen))
+
+
+def run(
+    lines: LineCloud, method: Method, *, device: str = "cpu", progress: Progress = NO_PROGRESS, name: str = ""
+) -> Recovery:
+    """Run any method, an attack, a bound or a user's own, on a line cloud."""
+    if len(lines) == 0:
+        raise InputError("got a line cloud without lines; expected at least one line")
+    where = usable_device(device)
+    began = time.perf_counter()
+    frame = Frame.of(lines)
+    with torch.inference_mode():
+        inside = frame.enter(lines, where)
+        estimate = method.locate(inside, frame, progress)
+    beta = frame.leave(lines, estimate.beta)
+    info = {
+        "method": name or type(method).__name__,
+        "settings": method.settings(),
+        "device": str(where),
+        "seconds": time.perf_counter() - began,
+    }
+    return Recovery(
+        xyz=lines.at(beta),
+        confidence=estimate.confidence.float().cpu().numpy(),
+        beta=beta,
+        rgb=lines.rgb,
+        neighbors=estimate.neighbors.cpu().numpy().astype(np.int64),
+        affinity=estimate.affinity.float().cpu().numpy(),
+        info=info,
+    )
+
+
+def usable_device(name: str) -> torch.device:
+    """The torch device of that name, if this machine has it."""
+    available = ["cpu"]
+    if torch.cuda.is_available():
+        available += ["cuda", *(f"cuda:{i}" for i in range(torch.cuda.device_count()))]
+    if torch.backends.mps.is_available():
+        available.append("mps")
+    if name not in available:
+        raise InputError(f"got device {name!r}; expected one of {', '.join(available)}")
+    return torch.device(name)

@@ -1,0 +1,176 @@
+"""The command ``l2p``: flags and exit codes; the work is in :mod:`l2p.commands`, loaded when a command runs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from l2p import __version__
+from l2p.errors import InputError
+from l2p.methods import DEFAULT_METHOD, METHODS, SCENE_KINDS
+
+#: Exit codes: the user's error, and Ctrl-C (128 + SIGINT).
+USER_ERROR, INTERRUPTED = 2, 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and give its exit code: 0 done, 2 for a user's error, 130 after Ctrl-C."""
+    arguments = _parser().parse_args(argv)
+    try:
+        import l2p.commands
+
+        getattr(l2p.commands, arguments.command)(arguments)
+    except (InputError, FileNotFoundError, PermissionError) as error:
+        _complain(_sentence(error))
+        return USER_ERROR
+    except KeyboardInterrupt:
+        print("l2p: interrupted; nothing was written", file=sys.stderr)
+        return INTERRUPTED
+    return 0
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that complains in one line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        _complain(f"{message} (see {self.prog} --help)")
+        raise SystemExit(USER_ERROR)
+
+
+def _complain(sentence: str) -> None:
+    print("l2p: error:", " ".join(sentence.split()), file=sys.stderr)
+
+
+def _sentence(error: Exception) -> str:
+    """What an error says; the system's own errors say a number and a name, so they are put into words."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {(error.strerror or 'cannot be opened').lower()}"
+    return str(error)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="l2p", description="Lift points to lines, and recover the points behind a line cloud.")
+    parser.add_argument("--version", action="version", version=f"l2p {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for add in (_add_lift, _add_recover, _add_evaluate, _add_info, _add_demo):
+        add(commands)
+    return parser
+
+
+def _command(commands: Any, name: str, what: str) -> argparse.ArgumentParser:
+    return commands.add_parser(name, help=what, description=what[0].upper() + what[1:] + ".")
+
+
+def _add_lift(commands: Any) -> None:
+    lift = _command(commands, "lift", "replace the points of a scene by lines through them")
+    lift.add_argument("scene", metavar="SCENE", help="COLMAP model folder (bin or txt), PLY, or npz with xyz")
+    lift.add_argument(
+        "-o", dest="output", metavar="LINES.npz", required=True, help="line cloud to write; .ply and .obj to look at"
+    )
+    lift.add_argument("--truth", metavar="TRUTH.npz", help="also write the points, in the order of the lines")
+    lift.add_argument(
+        "--fraction", type=float, default=1.0, metavar="F", help="share of the points, in (0, 1] (default: %(default)s)"
+    )
+    lift.add_argument(
+        "--scheme", default="uniform", metavar="NAME", help="how directions are drawn (default: %(default)s)"
+    )
+    lift.add_argument(
+        "--seed",
+        type=_seed,
+        metavar="S",
+        help="seed of the directions and the subset; without it a fresh one comes from the system and is kept nowhere: "
+        "whoever can guess the seed can redraw the directions and learn which line belongs to which point, so leave "
+        "it out for a line cloud that is published",
+    )
+    lift.add_argument("--rgb", action="store_true", help="store the colours of the points, which help an attacker")
+    _add_force(lift)
+
+
+def _add_recover(commands: Any) -> None:
+    recover = _command(commands, "recover", "recover the points behind a line cloud")
+    recover.add_argument("lines", metavar="LINES", help="line cloud: npz, PLY or OBJ line set, text of x y z dx dy dz")
+    recover.add_argument(
+        "-o",
+        dest="output",
+        metavar="OUT",
+        required=True,
+        help="OUT.npz (every line, in order), OUT.ply (with confidence), or a folder for a COLMAP model",
+    )
+    recover.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help="the attack (default: %(default)s)")
+    recover.add_argument(
+        "--scene-kind", choices=SCENE_KINDS, default="indoor", help="neighbour counts to use (default: %(default)s)"
+    )
+    recover.add_argument(
+        "--density",
+        type=float,
+        default=1.0,
+        metavar="F",
+        help="share of the scene's points that the lines hold, in (0, 1], as far as known (default: %(default)s)",
+    )
+    recover.add_argument("--rounds", type=int, metavar="R", help="rounds of refinement (default: the method's own)")
+    _add_filters(recover)
+    recover.add_argument("--model", metavar="MODEL", help="for a COLMAP model: the model that was lifted")
+    recover.add_argument(
+        "--truth", metavar="TRUTH.npz", help="for a COLMAP model: which line is which point id (nothing else is used)"
+    )
+    recover.add_argument("--device", default="cpu", help="torch device (default: %(default)s)")
+    recover.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
+    _add_json(recover, "STATS", "settings, seconds and confidences")
+    _add_force(recover)
+
+
+def _add_filters(recover: argparse.ArgumentParser) -> None:
+    recover.add_argument(
+        "--min-confidence",
+        type=float,
+        metavar="C",
+        help="drop less confident points from a PLY or COLMAP model; an npz, which keeps the order of the lines, "
+        "marks the others in its array kept",
+    )
+    recover.add_argument(
+        "--clean",
+        action="store_true",
+        help="drop outliers among the recovered points in the same way (Open3D; 50 neighbours, then 25; 2 sigma)",
+    )
+
+
+def _add_evaluate(commands: Any) -> None:
+    evaluate = _command(commands, "evaluate", "measure a recovery against the truth")
+    evaluate.add_argument("recovery", metavar="OUT.npz", help="recovery that l2p recover wrote")
+    evaluate.add_argument("truth", metavar="TRUTH.npz", help="truth that l2p lift --truth wrote")
+    evaluate.add_argument("--metric", action="store_true", help="the scene is in metres: also count within 1 to 50 cm")
+    _add_json(evaluate, "FILE", "the figures")
+    _add_force(evaluate)
+
+
+def _add_info(commands: Any) -> None:
+    info = _command(commands, "info", "say what a file is: scene, line cloud, recovery or truth")
+    info.add_argument("file", metavar="FILE", help="any file that l2p reads, or a COLMAP model folder")
+
+
+def _add_demo(commands: Any) -> None:
+    demo = _command(commands, "demo", "simulate a room, lift it, recover it, and draw what an attacker sees")
+    demo.add_argument("-o", dest="output", metavar="DIR", required=True, help="folder to write")
+    demo.add_argument(
+        "--points", type=int, default=20_000, metavar="N", help="points in the room (default: %(default)s)"
+    )
+    demo.add_argument("--seed", type=_seed, default=0, metavar="S", help="seed of the room (default: %(default)s)")
+    _add_force(demo)
+
+
+def _seed(word: str) -> int:
+    """A number that random generators take and files hold."""
+    value = int(word)
+    if not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"got {value}; expected 0 to 2^63 - 1")
+    return value
+
+
+def _add_json(command: argparse.ArgumentParser, metavar: str, what: str) -> None:
+    command.add_argument("--json", metavar=metavar, help=f"write {what} as JSON; - is stdout, in place of the table")
+
+
+def _add_force(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--force", action="store_true", help="replace outputs that exist")

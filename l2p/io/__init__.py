@@ -1,0 +1,1 @@
+"""Files in and out; the formats are described in ``docs/formats.md``."""

@@ -1,0 +1,129 @@
+"""Outputs that are there whole or not at all: written beside their place and renamed when complete."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import BinaryIO
+
+from l2p.errors import InputError
+
+
+@contextmanager
+def atomic_file(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[BinaryIO]:
+    """A binary file to write that becomes ``path`` when the block ends well; else nothing is left behind.
+
+    Raises
+    ------
+    InputError
+        If ``path`` exists (without ``overwrite``), is a folder, has no parent folder, or cannot be written.
+    """
+    check_file(path, overwrite=overwrite)
+    temporary = _sibling(path)
+    with _explained(path):
+        try:
+            with open(temporary, "xb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, _target(path))
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_folder(
+    path: str | PathLike[str], *, overwrite: bool = False, replaceable: frozenset[str] = frozenset()
+) -> Iterator[Path]:
+    """An empty folder to fill that becomes ``path`` when the block ends well; else nothing is left behind.
+
+    Parameters
+    ----------
+    replaceable : set of str
+        Names of the files that ``overwrite`` may delete; a folder that holds anything else is never replaced.
+
+    Raises
+    ------
+    InputError
+        If ``path`` exists and may not be replaced, is a file, has no parent folder, or cannot be written.
+    """
+    check_folder(path, overwrite=overwrite, replaceable=replaceable)
+    temporary = _sibling(path)
+    with _explained(path):
+        try:
+            temporary.mkdir()
+            yield temporary
+            _put_folder(temporary, _target(path))
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_file(path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Refuse an output file that cannot or must not be written, before the work that would fill it starts."""
+    target = _target(path)
+    if target.is_dir():
+        raise InputError(f"{path} is a folder; expected the name of a file to write")
+    if target.exists() and not target.is_file():
+        raise InputError(f"{path} is not a regular file; choose another -o")
+    _check_place(path, overwrite)
+
+
+def check_folder(
+    path: str | PathLike[str], *, overwrite: bool = False, replaceable: frozenset[str] = frozenset()
+) -> None:
+    """Refuse an output folder that cannot or must not be written, before the work that would fill it starts."""
+    target = _target(path)
+    if target.exists() and not target.is_dir():
+        raise InputError(f"{path} is a file; expected the name of a folder to write")
+    _check_place(path, overwrite)
+    if target.is_dir():
+        foreign = sorted(entry.name for entry in target.iterdir() if entry.name not in replaceable)
+        if foreign:
+            raise InputError(f"{path} holds {foreign[0]}, which l2p did not write there; choose another -o")
+
+
+def _check_place(path: str | PathLike[str], overwrite: bool) -> None:
+    target = _target(path)
+    if not target.parent.is_dir():
+        raise InputError(f"the folder of {path} does not exist; create it or choose another -o")
+    if target.exists() and not overwrite:
+        raise InputError(f"{path} exists; choose another -o or add --force")
+
+
+def _put_folder(source: Path, target: Path) -> None:
+    """Rename ``source`` to ``target``; a folder that stood there comes back if that fails."""
+    if not target.exists():
+        os.replace(source, target)
+        return
+    old = _sibling(target)
+    os.replace(target, old)
+    try:
+        os.replace(source, target)
+    except BaseException:
+        os.replace(old, target)
+        raise
+    shutil.rmtree(old)
+
+
+def _target(path: str | PathLike[str]) -> Path:
+    """Where links lead: the thing itself is replaced, not the link to it."""
+    return Path(os.path.realpath(path))
+
+
+def _sibling(path: str | PathLike[str]) -> Path:
+    target = _target(path)
+    return target.with_name(f".l2p-{secrets.token_hex(8)}.tmp")
+
+
+@contextmanager
+def _explained(path: str | PathLike[str]) -> Iterator[None]:
+    """Turn the system's refusal to write into a sentence."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {(error.strerror or str(error)).lower()}") from error

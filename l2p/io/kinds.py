@@ -1,0 +1,94 @@
+"""What a file is, told from its content: a scene, a line cloud, a recovery or a truth."""
+
+from __future__ import annotations
+
+import os
+from enum import Enum
+from os import PathLike
+from pathlib import Path
+
+from l2p.errors import InputError
+from l2p.io.npz import npz_keys
+
+#: Bytes that are enough for the header of a PLY file and the first records of a text file.
+_HEAD_BYTES = 65536
+
+
+class Kind(Enum):
+    """Every kind of file that l2p reads; the value is what people call it."""
+
+    SCENE_MODEL = "a COLMAP model"
+    SCENE_PLY = "a point cloud (PLY)"
+    SCENE_NPZ = "a scene (npz)"
+    LINES_NPZ = "a line cloud (npz)"
+    LINES_PLY = "a line cloud (PLY)"
+    LINES_OBJ = "a line cloud (OBJ)"
+    LINES_TEXT = "a line cloud (text)"
+    RECOVERY = "a recovery (npz)"
+    TRUTH = "a truth (npz)"
+
+
+SCENES = (Kind.SCENE_MODEL, Kind.SCENE_PLY, Kind.SCENE_NPZ)
+LINE_CLOUDS = (Kind.LINES_NPZ, Kind.LINES_PLY, Kind.LINES_OBJ, Kind.LINES_TEXT)
+
+# The keys that make an npz what it is; the first row that fits counts.
+_NPZ_KINDS = (
+    (Kind.LINES_NPZ, {"direction", "moment"}),
+    (Kind.RECOVERY, {"xyz", "confidence", "beta"}),
+    (Kind.TRUTH, {"xyz", "index", "spacing"}),
+    (Kind.SCENE_NPZ, {"xyz"}),
+)
+
+
+def kind_of(path: str | PathLike[str]) -> Kind:
+    """The kind of a file or folder, from its content and not from its name.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is nothing at ``path``.
+    InputError
+        If it is empty or nothing that l2p reads.
+    """
+    if not os.path.lexists(path):
+        raise FileNotFoundError(f"{path} does not exist")
+    if os.path.isdir(path):
+        return _folder_kind(Path(path))
+    if not os.path.isfile(path):
+        raise InputError(f"{path} is not a regular file")
+    with open(path, "rb") as file:
+        head = file.read(_HEAD_BYTES)
+    if not head:
+        raise InputError(f"{path} is empty")
+    if head.startswith(b"PK"):
+        return _npz_kind(path)
+    if head.startswith(b"ply"):
+        header = head.split(b"end_header")[0]
+        return Kind.LINES_PLY if b"\nelement edge" in header.replace(b"\r", b"\n") else Kind.SCENE_PLY
+    return _text_kind(path, head)
+
+
+def _folder_kind(path: Path) -> Kind:
+    if any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt")):
+        return Kind.SCENE_MODEL
+    raise InputError(f"{path} is a folder without points3D.bin or points3D.txt; expected a COLMAP model or a file")
+
+
+def _npz_kind(path: str | PathLike[str]) -> Kind:
+    keys = npz_keys(path)
+    for kind, needed in _NPZ_KINDS:
+        if needed <= keys:
+            return kind
+    found = ", ".join(sorted(keys)[:8]) or "nothing"
+    raise InputError(
+        f"{path} holds {found}; expected direction and moment (a line cloud) or xyz (a scene, a recovery, a truth)"
+    )
+
+
+def _text_kind(path: str | PathLike[str], head: bytes) -> Kind:
+    if head.startswith(b"\x93NUMPY"):
+        raise InputError(f"{path} is a bare npy array; expected an npz with named arrays (numpy.savez)")
+    if b"\0" in head:
+        raise InputError(f"{path} is neither npz, PLY, OBJ nor text; expected one of these")
+    records = {line.split(None, 1)[0] for line in head.splitlines() if line.strip()}
+    return Kind.LINES_OBJ if records & {b"v", b"l"} else Kind.LINES_TEXT

@@ -1,0 +1,164 @@
+"""Line clouds in files: the npz of ``docs/formats.md``, PLY and OBJ line sets, and text of point + direction."""
+
+from __future__ import annotations
+
+import io
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from l2p.errors import InputError
+from l2p.io.atomic import atomic_file
+from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
+from l2p.io.npz import Fields, npz_bytes
+from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb
+from l2p.io.text_lines import read_obj_segments, read_text_rows
+from l2p.lines import LineCloud
+
+#: Version of the npz line cloud that is written; older ones stay readable.
+LINE_VERSION = 1
+
+#: Line sets other than l2p's own do not say how their directions were drawn.
+FOREIGN_SCHEME = "unknown"
+
+#: Half the length of a drawn line, in median distances of the lines from their centre.
+HALF_LENGTH = 3.0
+
+
+def load_lines(path: str | PathLike[str]) -> LineCloud:
+    """Read a line cloud, whatever its file is called: npz, PLY or OBJ line set, text of point + direction.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    InputError
+        If it is damaged, of another kind, or its lines are not lines; the sentence names the file.
+    """
+    kind = kind_of(path)
+    if kind not in LINE_CLOUDS:
+        raise InputError(f"{path} is {kind.value}; expected a line cloud (make one with l2p lift)")
+    readers = {
+        Kind.LINES_NPZ: _read_npz,
+        Kind.LINES_PLY: _read_ply,
+        Kind.LINES_OBJ: _read_obj,
+        Kind.LINES_TEXT: _read_text,
+    }
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused as not finite
+            cloud = readers[kind](path)
+    except InputError as error:
+        # The rules of LineCloud know no file; everything else has named it already.
+        raise error if str(path) in str(error) else InputError(f"{path}: {error}") from error
+    if len(cloud) == 0:
+        raise InputError(f"{path} has no lines; expected at least one")
+    return cloud
+
+
+def save_lines(cloud: LineCloud, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write a line cloud as npz, or as PLY or OBJ line set to look at, by the ending of ``path``.
+
+    The lines are written as they are: hiding which point is behind which line is the work of :func:`l2p.lift`.
+    """
+    writers = {".npz": _npz_bytes, ".ply": _ply_bytes, ".obj": _obj_bytes}
+    ending = line_ending(path)
+    with atomic_file(path, overwrite=overwrite) as file:
+        file.write(writers[ending](cloud))
+
+
+def line_ending(path: str | PathLike[str]) -> str:
+    """The ending of a line cloud to write; any but those that l2p writes is an InputError."""
+    ending = Path(path).suffix.lower()
+    if ending not in (".npz", ".ply", ".obj"):
+        raise InputError(f"{path} ends with {ending!r}; expected a line cloud to end with .npz, .ply or .obj")
+    return ending
+
+
+def segments(cloud: LineCloud) -> tuple[Float[np.ndarray, "lines 3"], Float[np.ndarray, "lines 3"]]:
+    """Both ends of the piece of each line that is drawn, in scene units.
+
+    Pieces are centred at the foot of the perpendicular from the centre of the lines (:class:`l2p.frame.Frame`) and
+    equally long, both computed from the lines alone, so they tell nothing that the lines do not.
+    """
+    from l2p.frame import Frame
+
+    frame = Frame.of(cloud)
+    middle = cloud.origin + np.sum((frame.center - cloud.origin) * cloud.direction, axis=1)[:, None] * cloud.direction
+    half = HALF_LENGTH * frame.unit * cloud.direction
+    return middle - half, middle + half
+
+
+def _read_npz(path: str | PathLike[str]) -> LineCloud:
+    fields = Fields(path, ("direction", "moment", "rgb", "scheme", "version"))
+    fields.take_version(LINE_VERSION)
+    direction = fields.take("direction", "fiu", (None, 3))
+    moment = fields.take("moment", "fiu", (len(direction), 3))
+    return LineCloud(direction, moment, fields.take_rgb(len(direction)), str(fields.take("scheme", "U", ())))
+
+
+def _npz_bytes(cloud: LineCloud) -> bytes:
+    return npz_bytes(
+        {
+            "direction": cloud.direction,
+            "moment": cloud.moment,
+            "rgb": cloud.rgb,
+            "scheme": np.array(cloud.scheme),
+            "version": np.array(LINE_VERSION),
+        }
+    )
+
+
+def _read_ply(path: str | PathLike[str]) -> LineCloud:
+    elements = ply_elements(path)
+    vertex, edge = elements.get("vertex"), elements["edge"]
+    if vertex is None:
+        raise InputError(f"{path} has edges but no vertices; expected both")
+    ends = ply_columns(path, edge, ("vertex1", "vertex2"))
+    if not np.issubdtype(ends.dtype, np.integer):
+        raise InputError(f"{path} has vertex1 and vertex2 of type {ends.dtype}; expected integers")
+    return _through_segments(path, ply_columns(path, vertex, ("x", "y", "z")), ends.astype(np.int64), ply_rgb(edge))
+
+
+def _read_obj(path: str | PathLike[str]) -> LineCloud:
+    return _through_segments(path, *read_obj_segments(path), None)
+
+
+def _read_text(path: str | PathLike[str]) -> LineCloud:
+    rows = read_text_rows(path)
+    return LineCloud.through(rows[:, :3], rows[:, 3:], scheme=FOREIGN_SCHEME)
+
+
+def _through_segments(
+    path: str | PathLike[str], vertex: np.ndarray, ends: Int[np.ndarray, "lines 2"], rgb: np.ndarray | None
+) -> LineCloud:
+    outside = (ends < 0) | (ends >= len(vertex))
+    if outside.any():
+        wrong = int(ends[outside][0])
+        raise InputError(f"{path} has a line to vertex {wrong}; expected 0 to {len(vertex) - 1}, counted from 0")
+    start, stop = vertex[ends[:, 0]].astype(np.float64), vertex[ends[:, 1]].astype(np.float64)
+    # Half of each end keeps the difference of two finite numbers finite.
+    return LineCloud.through(start, stop / 2 - start / 2, rgb, FOREIGN_SCHEME)
+
+
+def _ply_bytes(cloud: LineCloud) -> bytes:
+    start, stop = segments(cloud)
+    vertex = np.empty(2 * len(cloud), dtype=[("x", "<f8"), ("y", "<f8"), ("z", "<f8")])
+    for axis, name in enumerate("xyz"):
+        vertex[name][0::2], vertex[name][1::2] = start[:, axis], stop[:, axis]
+    colour = [] if cloud.rgb is None else [(name, "u1") for name in ("red", "green", "blue")]
+    edge = np.empty(len(cloud), dtype=[("vertex1", "<i4"), ("vertex2", "<i4"), *colour])
+    edge["vertex1"], edge["vertex2"] = np.arange(0, 2 * len(cloud), 2), np.arange(1, 2 * len(cloud), 2)
+    for channel, (name, _) in enumerate(colour):
+        edge[name] = cloud.rgb[:, channel]  # type: ignore[index]
+    return ply_bytes({"vertex": vertex, "edge": edge})
+
+
+def _obj_bytes(cloud: LineCloud) -> bytes:
+    start, stop = segments(cloud)
+    text = io.StringIO()
+    np.savetxt(text, np.stack([start, stop], axis=1).reshape(-1, 3), fmt="v %.17g %.17g %.17g")
+    number = np.arange(1, 2 * len(cloud) + 1).reshape(-1, 2)
+    np.savetxt(text, number, fmt="l %d %d")
+    return text.getvalue().encode("ascii")

@@ -1,0 +1,67 @@
+"""PLY files through plyfile: every number of every element, little-endian binary out."""
+
+from __future__ import annotations
+
+import io
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from l2p.errors import InputError
+
+_RGB = ("red", "green", "blue")
+
+
+def ply_elements(path: str | PathLike[str]) -> dict[str, np.ndarray]:
+    """The structured array of each element of a PLY file, ascii or binary of either byte order."""
+    from plyfile import PlyData
+
+    content = Path(path).read_bytes()
+    try:
+        # From memory: plyfile leaves the handle of an ascii file open, and would map a binary one.
+        return {element.name: element.data for element in PlyData.read(io.BytesIO(content)).elements}
+    except Exception as error:  # plyfile and numpy raise many types on damaged bytes
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(f"{path} is truncated or damaged; expected a complete PLY file ({reason})") from error
+
+
+def ply_columns(path: str | PathLike[str], element: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+    """The named properties of an element as columns, (rows, len(names)), in the machine's byte order."""
+    missing = [name for name in names if name not in (element.dtype.names or ())]
+    if missing:
+        raise InputError(f"{path} lacks the property {missing[0]}; expected {', '.join(names)}")
+    if any(element[name].dtype.kind not in "fiu" for name in names):
+        raise InputError(f"{path} has {', '.join(names)} that are lists; expected one number each")
+    columns = np.stack([element[name] for name in names], axis=1)
+    return columns.astype(columns.dtype.newbyteorder("="))
+
+
+def ply_rgb(element: np.ndarray) -> UInt8[np.ndarray, "rows 3"] | None:
+    """The colours of an element, if it has 8-bit ones."""
+    if any(name not in (element.dtype.names or ()) or element[name].dtype != np.uint8 for name in _RGB):
+        return None
+    return np.stack([element[name] for name in _RGB], axis=1)
+
+
+def ply_bytes(elements: dict[str, np.ndarray]) -> bytes:
+    """The binary little-endian PLY file of the elements."""
+    from plyfile import PlyData, PlyElement
+
+    buffer = io.BytesIO()
+    PlyData([PlyElement.describe(data, name) for name, data in elements.items()], byte_order="<").write(buffer)
+    return buffer.getvalue()
+
+
+def point_records(xyz: np.ndarray, rgb: np.ndarray | None, confidence: np.ndarray | None = None) -> np.ndarray:
+    """The vertex element of a point cloud with what is known of its points."""
+    columns = {name: ("<f8", xyz[:, axis]) for axis, name in enumerate("xyz")}
+    if rgb is not None:
+        columns |= {name: ("u1", rgb[:, channel]) for channel, name in enumerate(_RGB)}
+    if confidence is not None:
+        columns["confidence"] = ("<f4", confidence)
+    records = np.empty(len(xyz), dtype=[(name, kind) for name, (kind, _) in columns.items()])
+    for name, (_, values) in columns.items():
+        records[name] = values
+    return records

@@ -1,0 +1,126 @@
+"""Recoveries in files: npz in the order of the lines, PLY with colour and confidence to look at."""
+
+from __future__ import annotations
+
+import json
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from l2p.errors import InputError
+from l2p.io.atomic import atomic_file
+from l2p.io.kinds import Kind, kind_of
+from l2p.io.npz import Fields, npz_bytes
+from l2p.io.ply import ply_bytes, point_records
+from l2p.recovery import Recovery
+
+#: Version of the npz recovery that is written; older ones stay readable.
+RECOVERY_VERSION = 1
+
+#: Entries of ``Recovery.info`` that differ from run to run; they go to ``--json`` and not into the file, so that
+#: the same lines, seed and threads give the same bytes.
+MEASURED = ("seconds", "peak_memory")
+
+# From dark blue (unsure) over green to yellow (sure); equal steps look about equal.
+_COLOURS = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], dtype=np.float64)
+
+_NAMES = ("xyz", "confidence", "beta", "rgb", "neighbors", "affinity", "kept", "info", "version")
+
+
+def save_recovery(recovery: Recovery, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write a recovery as npz (every line, in order) or PLY (the kept points), by the ending of ``path``."""
+    writers = {".npz": _npz_bytes, ".ply": _ply_bytes}
+    ending = Path(path).suffix.lower()
+    if ending not in writers:
+        raise InputError(f"{path} ends with {ending!r}; expected a recovery to end with .npz or .ply")
+    with atomic_file(path, overwrite=overwrite) as file:
+        file.write(writers[ending](recovery))
+
+
+def load_recovery(path: str | PathLike[str]) -> Recovery:
+    """Read a recovery npz; its points are in the order of the lines.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    InputError
+        If it is damaged or of another kind.
+    """
+    kind = kind_of(path)
+    if kind is not Kind.RECOVERY:
+        hint = "; a PLY does not keep the order of the lines" if kind is Kind.SCENE_PLY else ""
+        raise InputError(f"{path} is {kind.value}; expected a recovery npz (l2p recover -o OUT.npz){hint}")
+    fields = Fields(path, _NAMES)
+    fields.take_version(RECOVERY_VERSION)
+    xyz = fields.take("xyz", "fiu", (None, 3)).astype(np.float64)
+    rows = len(xyz)
+    neighbors = fields.take_optional("neighbors", "iu", (rows, None))
+    width = None if neighbors is None else neighbors.shape[1]
+    affinity = fields.take_optional("affinity", "fiu", (rows, width))
+    recovery = Recovery(
+        xyz=xyz,
+        confidence=fields.take("confidence", "fiu", (rows,)).astype(np.float32),
+        beta=fields.take("beta", "fiu", (rows,)).astype(np.float64),
+        rgb=fields.take_rgb(rows),
+        neighbors=None if neighbors is None else neighbors.astype(np.int64),
+        affinity=None if affinity is None else affinity.astype(np.float32),
+        kept=fields.take_optional("kept", "b", (rows,)),
+        info=_info(path, fields),
+    )
+    _check_numbers(path, recovery)
+    return recovery
+
+
+def confidence_colours(confidence: Float[np.ndarray, " points"]) -> UInt8[np.ndarray, "points 3"]:
+    """A colour for each confidence in [0, 1], from dark blue (0) to yellow (1)."""
+    place = np.linspace(0, 1, len(_COLOURS))
+    channels = [np.interp(confidence, place, _COLOURS[:, channel]) for channel in range(3)]
+    return np.rint(np.stack(channels, axis=1)).astype(np.uint8)
+
+
+def _npz_bytes(recovery: Recovery) -> bytes:
+    info = {name: value for name, value in recovery.info.items() if name not in MEASURED}
+    return npz_bytes(
+        {
+            "xyz": recovery.xyz,
+            "confidence": recovery.confidence,
+            "beta": recovery.beta,
+            "rgb": recovery.rgb,
+            "neighbors": recovery.neighbors,
+            "affinity": recovery.affinity,
+            "kept": recovery.kept,
+            "info": np.array(json.dumps(info, sort_keys=True)),
+            "version": np.array(RECOVERY_VERSION),
+        }
+    )
+
+
+def _ply_bytes(recovery: Recovery) -> bytes:
+    kept = slice(None) if recovery.kept is None else recovery.kept
+    confidence = recovery.confidence[kept]
+    rgb = confidence_colours(confidence) if recovery.rgb is None else recovery.rgb[kept]
+    return ply_bytes({"vertex": point_records(recovery.xyz[kept], rgb, confidence)})
+
+
+def _info(path: str | PathLike[str], fields: Fields) -> dict[str, Any]:
+    text = fields.take_optional("info", "U", ())
+    try:
+        info = {} if text is None else json.loads(str(text))
+    except ValueError as error:
+        raise InputError(f"{path} has info that is not JSON; write the file again") from error
+    if not isinstance(info, dict):
+        raise InputError(f"{path} has info that is a {type(info).__name__}; expected a JSON object")
+    return info
+
+
+def _check_numbers(path: str | PathLike[str], recovery: Recovery) -> None:
+    if len(recovery) == 0:
+        raise InputError(f"{path} has no points; expected at least one")
+    if not (np.isfinite(recovery.xyz).all() and np.isfinite(recovery.beta).all()):
+        raise InputError(f"{path} has points that are NaN or infinite; expected one finite point on each line")
+    if not ((recovery.confidence >= 0) & (recovery.confidence <= 1)).all():
+        raise InputError(f"{path} has confidences outside [0, 1]; expected a probability for each line")

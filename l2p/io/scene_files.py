@@ -1,0 +1,127 @@
+"""Scenes in files (COLMAP model, PLY, npz), and the truth that stays behind when a scene is lifted."""
+
+from __future__ import annotations
+
+from os import PathLike
+
+import numpy as np
+
+from l2p.errors import InputError
+from l2p.io.atomic import atomic_file
+from l2p.io.colmap import read_model, scene_of_model
+from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
+from l2p.io.npz import Fields, npz_bytes
+from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb, point_records
+from l2p.scene import Scene, Truth
+
+#: Version of the truth file that is written.
+TRUTH_VERSION = 1
+
+
+def load_scene(path: str | PathLike[str]) -> Scene:
+    """Read a scene: a COLMAP model folder (bin or txt), a PLY, or an npz with ``xyz``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is nothing at ``path``.
+    InputError
+        If it is damaged, of another kind, has no points, or has points that are not finite.
+    """
+    kind = kind_of(path)
+    if kind in LINE_CLOUDS:
+        raise InputError(f"{path} is {kind.value}; expected a scene: a COLMAP model folder, a PLY or an npz with xyz")
+    if kind is Kind.SCENE_MODEL:
+        scene = scene_of_model(read_model(path))
+    else:
+        scene = _read_ply(path) if kind is Kind.SCENE_PLY else _read_npz(path)
+    if len(scene) == 0:
+        raise InputError(f"{path} has no points; expected at least one")
+    _refuse_infinite(path, scene.xyz)
+    return scene
+
+
+def save_scene_ply(scene: Scene, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write the points, and their colours where known, as a binary PLY."""
+    with atomic_file(path, overwrite=overwrite) as file:
+        file.write(ply_bytes({"vertex": point_records(scene.xyz, scene.rgb)}))
+
+
+def load_truth(path: str | PathLike[str]) -> Truth:
+    """Read the truth npz that ``l2p lift --truth`` wrote."""
+    kind = kind_of(path)
+    if kind is not Kind.TRUTH:
+        raise InputError(f"{path} is {kind.value}; expected a truth npz (l2p lift --truth)")
+    fields = Fields(path, ("xyz", "index", "spacing", "ids", "seed", "version"))
+    fields.take_version(TRUTH_VERSION)
+    xyz = fields.take("xyz", "fiu", (None, 3)).astype(np.float64)
+    rows = len(xyz)
+    _refuse_infinite(path, xyz)
+    seed = fields.take_optional("seed", "iu", ())
+    spacing = float(fields.take("spacing", "fiu", ()))
+    if not 0 < spacing < np.inf:
+        raise InputError(f"{path} has spacing {spacing}; expected a length above 0")
+    return Truth(
+        xyz=xyz,
+        index=fields.take("index", "iu", (rows,)).astype(np.int64),
+        spacing=spacing,
+        ids=_cast(fields.take_optional("ids", "iu", (rows,)), np.int64),
+        seed=None if seed is None else int(seed),
+    )
+
+
+def save_truth(truth: Truth, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write the truth npz of ``docs/formats.md``."""
+    with atomic_file(path, overwrite=overwrite) as file:
+        file.write(truth_bytes(truth))
+
+
+def truth_bytes(truth: Truth) -> bytes:
+    """The truth npz."""
+    return npz_bytes(
+        {
+            "xyz": truth.xyz,
+            "index": truth.index,
+            "spacing": np.array(truth.spacing, dtype=np.float64),
+            "ids": truth.ids,
+            "seed": None if truth.seed is None else np.array(truth.seed, dtype=np.uint64),
+            "version": np.array(TRUTH_VERSION),
+        }
+    )
+
+
+def _read_ply(path: str | PathLike[str]) -> Scene:
+    vertex = ply_elements(path).get("vertex")
+    if vertex is None:
+        raise InputError(f"{path} has no vertices; expected an element vertex with x, y, z")
+    return Scene(ply_columns(path, vertex, ("x", "y", "z")).astype(np.float64), ply_rgb(vertex))
+
+
+def _read_npz(path: str | PathLike[str]) -> Scene:
+    fields = Fields(path, ("xyz", "rgb", "error", "track_length", "track_len", "ids", "camera_centers"))
+    xyz = fields.take("xyz", "fiu", (None, 3)).astype(np.float64)
+    rows = len(xyz)
+    track_length = fields.take_optional("track_length", "iu", (rows,))
+    if track_length is None:
+        track_length = fields.take_optional("track_len", "iu", (rows,))
+    return Scene(
+        xyz=xyz,
+        rgb=fields.take_rgb(rows),
+        error=_cast(fields.take_optional("error", "fiu", (rows,)), np.float32),
+        track_length=_cast(track_length, np.int32),
+        ids=_cast(fields.take_optional("ids", "iu", (rows,)), np.int64),
+        camera_centers=_cast(fields.take_optional("camera_centers", "fiu", (None, 3)), np.float64),
+    )
+
+
+def _cast(array: np.ndarray | None, dtype: type[np.generic]) -> np.ndarray | None:
+    return None if array is None else array.astype(dtype)
+
+
+def _refuse_infinite(path: str | PathLike[str], xyz: np.ndarray) -> None:
+    bad = ~np.isfinite(xyz).all(axis=1)
+    if bad.any():
+        raise InputError(
+            f"{path} has {int(bad.sum())} of {len(xyz)} points that are NaN or infinite, first at row "
+            f"{int(np.argmax(bad))}; remove them"
+        )

@@ -1,0 +1,145 @@
+"""Lifting: from the points of a scene to a line cloud that does not show them."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from l2p.errors import InputError
+from l2p.lines import LineCloud, finite_rows
+
+SCHEMES = ("uniform",)
+
+
+def lift(
+    points: Float[np.ndarray, "points 3"],
+    seed: int | None = None,
+    fraction: float = 1.0,
+    scheme: str = "uniform",
+    rgb: UInt8[np.ndarray, "points 3"] | None = None,
+) -> LineCloud:
+    """Replace points by lines of random direction through them; see :func:`lift_indexed`.
+
+    >>> import numpy as np
+    >>> len(lift(np.zeros((4, 3)), seed=0))
+    4
+    """
+    return lift_indexed(points, seed, fraction, scheme, rgb)[0]
+
+
+def lift_indexed(
+    points: Float[np.ndarray, "points 3"],
+    seed: int | None = None,
+    fraction: float = 1.0,
+    scheme: str = "uniform",
+    rgb: UInt8[np.ndarray, "points 3"] | None = None,
+) -> tuple[LineCloud, Int[np.ndarray, " lines"]]:
+    """Lift a scene and say which point is behind each line.
+
+    Parameters
+    ----------
+    points : (points, 3) float
+        Scene points, scene units.
+    seed : int, optional
+        Seed of directions and subset. None draws one from the system: whoever can guess the seed can redraw the
+        directions in the order of the points, so a line cloud that is to be published is lifted without one.
+    fraction : float
+        Share of the points that is lifted, in (0, 1]; at least one point is kept.
+    scheme : str
+        ``uniform``: directions uniform on the sphere (Speciale et al., CVPR 2019).
+    rgb : (points, 3) uint8, optional
+        Colours to store with the lines. They help an attacker; leave them out of a published map.
+
+    Returns
+    -------
+    LineCloud, (lines,) int64
+        The lines, ordered by direction, and ``index`` such that ``points[index[i]]`` lies behind line i.
+
+    Raises
+    ------
+    InputError
+        If there are no points, a point is not finite, the fraction is outside (0, 1] or the scheme is unknown.
+
+    Notes
+    -----
+    What could reveal a point, and what is done about it:
+
+    - *Order*: SfM models store neighbours side by side. Lines are sorted by their direction, which is independent
+      of the point.
+    - *Sign and origin*: the direction is turned into one half-space and the moment says nothing about the position.
+    - *Rounding*: points that were once stored with few digits (single precision, text) lie on a lattice, and a line
+      in double precision comes close to one lattice point only: its own. Each point is therefore moved within its
+      lattice cell before it is lifted (:func:`lattice_step`); the shift is below the precision of the input.
+    """
+    points = finite_rows("points", points)
+    if len(points) == 0:
+        raise InputError("got a scene without points; expected at least one point to lift")
+    if not 0 < fraction <= 1:
+        raise InputError(f"got fraction {fraction}; expected a number in (0, 1], the share of the points to lift")
+    if scheme not in SCHEMES:
+        raise InputError(f"got scheme {scheme!r}; expected one of {', '.join(SCHEMES)}")
+    if rgb is not None and rgb.shape != points.shape:
+        raise InputError(f"got rgb of shape {rgb.shape}; expected {points.shape}, one colour a point")
+    rng = np.random.default_rng(seed)
+    chosen = _subset(len(points), fraction, rng)
+    direction = _upper(rng.normal(size=(len(chosen), 3)))
+    order = np.lexsort(direction.T)
+    chosen, direction = chosen[order], direction[order]
+    hidden = points[chosen] + lattice_step(points)[chosen, None] * rng.uniform(-0.5, 0.5, size=(len(chosen), 3))
+    colour = None if rgb is None else rgb[chosen]
+    return LineCloud.through(hidden, direction, colour, scheme), chosen
+
+
+def lattice_step(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " points"]:
+    """Step of the coarsest lattice around each point that the scene was once rounded to; 0 if there is none.
+
+    Notes
+    -----
+    Three ways to lose digits are recognised, also one after the other: a number of decimals (0 to 9, the same step
+    everywhere), a number of significant digits (1 to 9) and single precision (both with a step that grows with the
+    point's largest coordinate). Decimal lattices count if they hold at least half of the points: a few points of
+    another source must not hide them. A scene of double precision numbers lies on none.
+    """
+    size = np.abs(points).max(axis=1)
+    if not size.any():
+        return np.zeros(len(points))
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers that single precision cannot hold
+        single = (points.astype(np.float32) == points).all(axis=1)
+        rounding = np.where(single[:, None], np.spacing(np.abs(points).astype(np.float32)), np.spacing(np.abs(points)))
+        step = np.where(single, np.spacing(size.astype(np.float32)), 0.0)
+    for digits in range(10):
+        if _rounded(points, np.full_like(points, 10.0**-digits), rounding):
+            step = np.maximum(step, 10.0**-digits)
+            break
+    for digits in range(1, 10):
+        if _rounded(points, _last_digit(points, digits), rounding):
+            step = np.maximum(step, _last_digit(size, digits))
+            break
+    return step
+
+
+def _rounded(
+    points: Float[np.ndarray, "points 3"], unit: Float[np.ndarray, "points 3"], rounding: Float[np.ndarray, "points 3"]
+) -> bool:
+    """Whether at least half of the points are multiples of their unit, as far as their rounding lets see it."""
+    multiple, slack = points / unit, 4 * rounding / unit
+    # A unit of a few roundings would hold any point.
+    on = (np.abs(multiple - np.rint(multiple)) <= slack) & (slack < 0.05)
+    return bool(on.all(axis=1).mean() >= 0.5)
+
+
+def _last_digit(value: Float[np.ndarray, "*shape"], digits: int) -> Float[np.ndarray, "*shape"]:
+    """One unit in the last of so many significant digits."""
+    return 10.0 ** (np.floor(np.log10(np.where(value == 0, 1, np.abs(value)))) - (digits - 1))
+
+
+def _subset(count: int, fraction: float, rng: np.random.Generator) -> Int[np.ndarray, " lines"]:
+    if fraction == 1:
+        return np.arange(count)
+    return rng.choice(count, size=max(1, round(count * fraction)), replace=False)
+
+
+def _upper(direction: Float[np.ndarray, "lines 3"]) -> Float[np.ndarray, "lines 3"]:
+    """Unit vectors turned into the half-space z > 0; (d, m) and (-d, -m) are one line, so one of them is written."""
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.where(direction[:, 2:] < 0, -direction, direction)

@@ -1,0 +1,130 @@
+"""The line cloud: unit directions and Plücker moments, in float64, with nothing that depends on the points' places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from l2p.errors import InputError
+
+#: Largest |d| - 1 and |d . m| / |m| that count as rounding of a writer in single precision.
+UNIT_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class LineCloud:
+    """N lines in Plücker coordinates.
+
+    Parameters
+    ----------
+    direction : (lines, 3) float64
+        Unit vectors; the sign has no meaning.
+    moment : (lines, 3) float64
+        p x d for any point p on the line, in scene units.
+    rgb : (lines, 3) uint8, optional
+        Colour of the point behind each line.
+    scheme : str
+        How the directions were drawn; ``uniform`` is the line cloud of Speciale et al. (CVPR 2019).
+
+    Raises
+    ------
+    InputError
+        If shapes differ, numbers are not finite, a direction has no length or a moment is not perpendicular to it.
+    """
+
+    direction: Float[np.ndarray, "lines 3"]
+    moment: Float[np.ndarray, "lines 3"]
+    rgb: UInt8[np.ndarray, "lines 3"] | None = None
+    scheme: str = "uniform"
+
+    def __post_init__(self) -> None:
+        direction = finite_rows("direction", self.direction)
+        moment = finite_rows("moment", self.moment)
+        if len(moment) != len(direction):
+            raise InputError(
+                f"got {len(direction)} directions and {len(moment)} moments; expected one moment for each line"
+            )
+        if self.rgb is not None and self.rgb.shape != direction.shape:
+            raise InputError(f"got rgb of shape {self.rgb.shape}; expected ({len(direction)}, 3), one colour a line")
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
+        _refuse(
+            np.abs(length[:, 0] - 1) > UNIT_TOLERANCE, "direction of length other than 1", "normalise the direction"
+        )
+        direction = direction / length
+        along = np.sum(direction * moment, axis=1)
+        size = np.linalg.norm(moment, axis=1)
+        _refuse(
+            np.abs(along) > UNIT_TOLERANCE * size + np.finfo(float).tiny,
+            "moment that is not perpendicular to its direction",
+            "store p x d for a point p on the line",
+        )
+        moment = moment - along[:, None] * direction
+        for name, value in (("direction", direction), ("moment", moment)):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def through(
+        cls,
+        point: Float[np.ndarray, "lines 3"],
+        direction: Float[np.ndarray, "lines 3"],
+        rgb: UInt8[np.ndarray, "lines 3"] | None = None,
+        scheme: str = "uniform",
+    ) -> LineCloud:
+        """The lines through ``point`` along ``direction`` (any length but zero); where on the line is forgotten."""
+        point, direction = finite_rows("point", point), finite_rows("direction", direction)
+        if len(point) != len(direction):
+            raise InputError(f"got {len(point)} points and {len(direction)} directions; expected one direction a point")
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
+        _refuse(length[:, 0] == 0, "direction of length 0", "remove the line")
+        direction = direction / length
+        # The moment is taken at the foot of the perpendicular from the origin, so that its rounding, too, depends
+        # on the line and hardly on the point.
+        foot = point - np.sum(point * direction, axis=1, keepdims=True) * direction
+        return cls(direction, np.cross(foot, direction), rgb, scheme)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> LineCloud:
+        """Read a line cloud file: npz, PLY or OBJ line set, or text of point + direction."""
+        from l2p.io.line_files import load_lines
+
+        return load_lines(path)
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the npz line cloud file of ``docs/formats.md``, whole or not at all."""
+        from l2p.io.line_files import save_lines
+
+        save_lines(self, path, overwrite=overwrite)
+
+    @property
+    def origin(self) -> Float[np.ndarray, "lines 3"]:
+        """The canonical foot d x m: the point of each line nearest to the frame's origin."""
+        return np.cross(self.direction, self.moment)
+
+    def at(self, beta: Float[np.ndarray, " lines"]) -> Float[np.ndarray, "lines 3"]:
+        """The points origin + beta * direction, (lines, 3) in scene units."""
+        return self.origin + np.asarray(beta, dtype=np.float64)[:, None] * self.direction
+
+    def __len__(self) -> int:
+        return len(self.direction)
+
+
+def finite_rows(name: str, value: object) -> Float[np.ndarray, "lines 3"]:
+    """``value`` as a fresh finite (lines, 3) float64 array."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"got {name} of type {array.dtype}; expected numbers")
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"got {name} of shape {array.shape}; expected (lines, 3)")
+    array = array.astype(np.float64)
+    _refuse(~np.isfinite(array).all(axis=1), f"{name} that is NaN or infinite", "remove the line")
+    return array
+
+
+def _refuse(bad: np.ndarray, what: str, mend: str) -> None:
+    """Raise for the first line that ``bad`` marks."""
+    if bad.any():
+        raise InputError(f"got {int(bad.sum())} line(s) with a {what}, first at line {int(np.argmax(bad))}; {mend}")

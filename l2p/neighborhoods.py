@@ -1,0 +1,286 @@
+"""Which lines are neighbours: what an attack may guess from the lines alone.
+
+A neighbourhood gives, for each line, the lines whose points it takes to be near; the closest points to them vote, and
+the peak of the votes is the estimate (:mod:`l2p.peak`). From the second round on the estimates of the round before
+help to choose better neighbours. Neighbourhoods that know the answer are in :mod:`l2p.oracles`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from l2p.errors import InputError
+from l2p.frame import Frame
+from l2p.geometry import Lines, closest_points
+from l2p.methods import SCENE_KINDS
+from l2p.peak import PeakConfig, find_peak
+from l2p.progress import NO_PROGRESS, Progress
+from l2p.search import nearest_lines_to_lines, nearest_lines_to_points, nearest_points_to_lines
+from l2p.tomography import TomographyConfig, mass_within, modes, reconstruct
+
+#: Votes in one block of the peak search (times about 60 bytes of temporaries).
+VOTES = 1 << 21
+
+
+class Estimate(NamedTuple):
+    """A position on each line, in the working frame, and what it rests on.
+
+    ``confidence`` is in [0, 1], 0 where a line had no vote at all and was placed next to the centre. ``neighbors`` is -1 and
+    ``affinity`` 0 where a line has fewer than k neighbours.
+    """
+
+    beta: Float[Tensor, " lines"]
+    confidence: Float[Tensor, " lines"]
+    neighbors: Int[Tensor, "lines k"]
+    affinity: Float[Tensor, "lines k"]
+
+
+@runtime_checkable
+class Method(Protocol):
+    """Anything that places a point on each line; all attacks, bounds and users' own methods share this call."""
+
+    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
+        """Place the points, in the working frame; ``frame`` leads to scene units for those that know the truth."""
+        ...
+
+    def settings(self) -> dict[str, Any]:
+        """Plain values that say what was run, for the record."""
+        ...
+
+
+def vote(
+    lines: Lines,
+    neighbors: Int[Tensor, "lines k"],
+    affinity: Float[Tensor, "lines k"] | None = None,
+    peak: PeakConfig | None = None,
+    progress: Progress = NO_PROGRESS,
+) -> Estimate:
+    """The closest points to the neighbours vote, the peak is the estimate, its support the confidence.
+
+    Affinities weight the votes; without them each neighbour has one vote.
+    """
+    weight = _equal(lines, neighbors) if affinity is None else affinity
+    beta = peaks(lines, neighbors, weight, peak, progress)
+    return Estimate(beta, support(lines, neighbors, weight, beta), neighbors, weight)
+
+
+def _equal(lines: Lines, neighbors: Int[Tensor, "lines k"]) -> Float[Tensor, "lines k"]:
+    return (neighbors >= 0).to(lines.direction.dtype)
+
+
+def peaks(
+    lines: Lines,
+    neighbors: Int[Tensor, "lines k"],
+    affinity: Float[Tensor, "lines k"],
+    peak: PeakConfig | None = None,
+    progress: Progress = NO_PROGRESS,
+) -> Float[Tensor, " lines"]:
+    """The peak of the neighbours' votes on each line; the foot, 0, where there is no vote. Blocked over lines."""
+    beta = lines.direction.new_zeros(len(neighbors))
+    with progress.task("peaks of the votes", total=len(neighbors)) as advance:
+        for here in _blocks(neighbors):
+            votes = closest_points(lines.rows(here), lines, neighbors[here])
+            beta[here] = find_peak(votes.beta, affinity[here] * votes.valid, peak).beta.nan_to_num(nan=0.0)
+            advance(here.stop - here.start)
+    return beta
+
+
+def support(
+    lines: Lines,
+    neighbors: Int[Tensor, "lines k"],
+    affinity: Float[Tensor, "lines k"],
+    beta: Float[Tensor, " lines"],
+) -> Float[Tensor, " lines"]:
+    """Votes near the estimate over all votes that a line could have had, in [0, 1].
+
+    Near means within the median, over the lines, of the median distance of a line's votes from its estimate. It ranks
+    lines far better than Kuiper's statistic does, which tells sharp peaks, right or wrong, from blunt ones (heuristic
+    on a room: area under the ROC curve 0.73 against 0.43; ``python -m eval experiment=confidence``).
+    """
+    distance = lines.direction.new_full((len(neighbors),), torch.nan)
+    near = torch.zeros_like(distance)
+    for here in _blocks(neighbors):
+        distance[here] = _apart(lines, neighbors, affinity, beta, here).nanmedian(dim=1).values
+    radius = distance.nanmedian()
+    for here in _blocks(neighbors):
+        inside = _apart(lines, neighbors, affinity, beta, here) <= radius
+        near[here] = (affinity[here] * inside).sum(dim=1)
+    return (near / max(neighbors.shape[1], 1)).clamp(0, 1)
+
+
+def _apart(
+    lines: Lines,
+    neighbors: Int[Tensor, "lines k"],
+    affinity: Float[Tensor, "lines k"],
+    beta: Float[Tensor, " lines"],
+    rows: slice,
+) -> Float[Tensor, "rows k"]:
+    """Distance of each vote from the estimate, NaN where there is no vote."""
+    votes = closest_points(lines.rows(rows), lines, neighbors[rows])
+    apart = (votes.beta - beta[rows, None]).abs()
+    return apart.masked_fill(~votes.valid | (affinity[rows] <= 0), torch.nan)
+
+
+def _blocks(neighbors: Int[Tensor, "lines k"]) -> list[slice]:
+    """Slices of lines, each with about ``VOTES`` votes."""
+    count, k = neighbors.shape
+    rows = max(1, VOTES // max(k, 1))
+    return [slice(begin, min(begin + rows, count)) for begin in range(0, count if k else 0, rows)]
+
+
+@dataclass(frozen=True)
+class HeuristicConfig:
+    """The paper's neighbour counts, from the table in its supplement (Chelani et al., CVPR 2021).
+
+    Attributes
+    ----------
+    scene_kind : str
+        ``outdoor``: 500 nearest lines, then 200; 100 and 50 at 5 % of the points or less. ``indoor``: 250 and 100;
+        50 and 25.
+    density : float
+        Share of the map's points that the line cloud holds, in (0, 1], as far as it is known.
+    rounds : int
+        Refinements after the coarse stage.
+    intersection : int
+        N_pl and N_lp are intersected where more than this many lines are in both, else N_pl stands alone.
+    peak : PeakConfig
+    """
+
+    scene_kind: str = "indoor"
+    density: float = 1.0
+    rounds: int = 3
+    intersection: int = 10
+    peak: PeakConfig = PeakConfig()
+
+    def __post_init__(self) -> None:
+        if self.scene_kind not in SCENE_KINDS:
+            raise InputError(f"got scene kind {self.scene_kind!r}; expected one of {', '.join(SCENE_KINDS)}")
+        if not 0 < self.density <= 1:
+            raise InputError(f"got density {self.density}; expected a number in (0, 1]")
+        if self.rounds < 0:
+            raise InputError(f"got {self.rounds} rounds; expected 0 (the coarse stage alone) or more")
+
+    @property
+    def coarse(self) -> int:
+        """Neighbours of the coarse stage."""
+        return {("outdoor", True): 500, ("outdoor", False): 100, ("indoor", True): 250, ("indoor", False): 50}[
+            self.scene_kind, self.density > 0.05
+        ]
+
+    @property
+    def fine(self) -> int:
+        """Neighbours of each refinement."""
+        return {("outdoor", True): 200, ("outdoor", False): 50, ("indoor", True): 100, ("indoor", False): 25}[
+            self.scene_kind, self.density > 0.05
+        ]
+
+
+class Heuristic:
+    """The paper's attack: the nearest lines first, then those that are near both ways, N_pl and N_lp.
+
+    Self is excluded and origins are canonical; the published code has neither, which favours it (``docs/``,
+    "Fairness").
+    """
+
+    def __init__(self, config: HeuristicConfig | None = None) -> None:
+        self.config = config or HeuristicConfig()
+
+    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
+        """Coarse stage and refinements; O(rounds x lines^2) time, O(lines k) memory."""
+        nearest = nearest_lines_to_lines(lines, self.config.coarse, progress=progress)
+        neighbors = nearest.index
+        del nearest
+        for _ in range(self.config.rounds):
+            beta = peaks(lines, neighbors, _equal(lines, neighbors), self.config.peak, progress)
+            neighbors = self._mutual(lines, lines.at(beta), progress)
+        return vote(lines, neighbors, peak=self.config.peak, progress=progress)
+
+    def _mutual(self, lines: Lines, points: Float[Tensor, "lines 3"], progress: Progress) -> Int[Tensor, "lines k"]:
+        near_line = nearest_points_to_lines(lines, points, self.config.fine, progress=progress).index
+        near_point = nearest_lines_to_points(points, lines, self.config.fine, progress=progress).index
+        both = member(near_line, near_point)
+        enough = both.sum(dim=1, keepdim=True) > self.config.intersection
+        return near_line.masked_fill(~both & enough, -1)
+
+    def settings(self) -> dict[str, Any]:
+        """The configuration, and the neighbour counts that it led to."""
+        return {**asdict(self.config), "coarse": self.config.coarse, "fine": self.config.fine}
+
+
+@dataclass(frozen=True)
+class TomographicConfig:
+    """Settings of the tomographic attack.
+
+    Attributes
+    ----------
+    tomography : TomographyConfig
+        The coarse stage.
+    candidates : int
+        Size of N_pl around the modes of the posterior.
+    nearest : int
+        Candidates that vote: those whose modes are nearest to a line's own.
+    rounds : int
+        Times that the votes are taken, each time around the estimates of the time before; 0 leaves the modes.
+    peak : PeakConfig
+    """
+
+    tomography: TomographyConfig = field(default_factory=TomographyConfig)
+    candidates: int = 64
+    nearest: int = 16
+    rounds: int = 1
+    peak: PeakConfig = PeakConfig()
+
+    def __post_init__(self) -> None:
+        if self.rounds < 0:
+            raise InputError(f"got {self.rounds} rounds; expected 0 (the modes alone) or more")
+
+
+class Tomography:
+    """The mode of the tomographic posterior, then the votes of the lines whose modes are near (:mod:`l2p.tomography`).
+
+    The confidence is the posterior probability within twice the median distance of the voters: it ranks, and is not
+    calibrated.
+    """
+
+    def __init__(self, config: TomographicConfig | None = None) -> None:
+        self.config = config or TomographicConfig()
+
+    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
+        """O(lines x segments) for the posterior; the search of the voters is O(lines^2)."""
+        posterior = reconstruct(lines, self.config.tomography, progress)
+        beta = modes(posterior)[0]
+        neighbors, distance = self._around(lines, beta, progress)
+        for _ in range(self.config.rounds):
+            beta = peaks(lines, neighbors, _equal(lines, neighbors), self.config.peak, progress)
+            neighbors, distance = self._around(lines, beta, progress)
+        radius = 2 * distance.nanmedian() if distance.numel() else 0.0
+        return Estimate(beta, mass_within(posterior, beta, radius), neighbors, _equal(lines, neighbors))
+
+    def _around(
+        self, lines: Lines, beta: Float[Tensor, " lines"], progress: Progress
+    ) -> tuple[Int[Tensor, "lines k"], Float[Tensor, "lines k"]]:
+        """The lines whose estimates are nearest to a line's own, and their distances."""
+        points = lines.at(beta)
+        near = nearest_points_to_lines(lines, points, self.config.candidates, progress=progress).index
+        apart = points[near.clamp_min(0).flatten().long()].view(*near.shape, 3) - points[:, None]
+        distance = apart.norm(dim=2).masked_fill(near < 0, torch.inf)
+        order = torch.topk(distance, min(self.config.nearest, near.shape[1]), dim=1, largest=False).indices
+        return near.gather(1, order), distance.gather(1, order)
+
+    def settings(self) -> dict[str, Any]:
+        """The configuration."""
+        return asdict(self.config)
+
+
+def member(values: Int[Tensor, "lines k"], sets: Int[Tensor, "lines m"]) -> Bool[Tensor, "lines k"]:
+    """Whether each of a line's values is in its set; -1 is in none."""
+    if sets.shape[1] == 0:
+        return torch.zeros_like(values, dtype=torch.bool)
+    ordered = sets.sort(dim=1).values
+    place = torch.searchsorted(ordered, values).clamp_max(sets.shape[1] - 1)
+    return (torch.gather(ordered, 1, place) == values) & (values >= 0)

@@ -1,0 +1,205 @@
+"""The densest place among the votes along each line: Kuiper's statistic, applied recursively.
+
+The empirical distribution function F of the votes (weighted by affinity where there is one) is held against the
+uniform distribution U between the lowest and the highest vote. A peak begins where F - U is least and ends where it
+is greatest; the difference of the two extremes is Kuiper's statistic V. The search is repeated inside the peak until
+the votes that it was sought among look uniform, V < threshold; the answer is the median of what is left (Chelani et
+al., CVPR 2021, section 4.2 and appendix).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+#: Statistics that differ by less than this differ by rounding.
+_EQUAL = 1e-6
+
+
+@dataclass(frozen=True)
+class PeakConfig:
+    """Settings of the peak search.
+
+    Attributes
+    ----------
+    threshold : float
+        Stop when Kuiper's statistic falls below it (0.4 in the paper's text, 0.3-0.4 in its appendix).
+    minimum : int
+        Stop when no more votes than this are left.
+    trim : int
+        Lowest and highest votes that are dropped first; fewer where that would leave fewer than ``minimum``.
+        Near-parallel neighbours vote for places far outside the scene.
+    rule : str
+        ``single``: the least and the greatest F - U of all votes bound the peak, the greatest sought after the
+        least (main text). ``several``: the line is cut where U overtakes F, and of the segments, one a peak,
+        the one with the greatest statistic is kept (appendix).
+    """
+
+    threshold: float = 0.3
+    minimum: int = 5
+    trim: int = 5
+    rule: str = "several"
+
+    def __post_init__(self) -> None:
+        if self.rule not in ("single", "several"):
+            raise ValueError(f"got peak rule {self.rule!r}; expected 'single' or 'several'")
+
+
+class Peak(NamedTuple):
+    """Peaks of each line's votes.
+
+    ``beta`` is the weighted median of the votes in the peak (NaN if a line has no valid vote), ``statistic`` the
+    greatest Kuiper statistic met on the way, in [0, 1] (0 for fewer than two distinct votes), ``width`` the length of
+    the last interval.
+    """
+
+    beta: Float[Tensor, " lines"]
+    statistic: Float[Tensor, " lines"]
+    width: Float[Tensor, " lines"]
+
+
+class _Votes(NamedTuple):
+    """Votes sorted along each line and packed to the left: ``count`` of them, the rest is padding of weight 0."""
+
+    beta: Float[Tensor, "lines k"]
+    weight: Float[Tensor, "lines k"]
+    count: Int[Tensor, " lines"]
+
+
+def find_peak(
+    beta: Float[Tensor, "lines k"],
+    weight: Float[Tensor, "lines k"] | None = None,
+    config: PeakConfig | None = None,
+) -> Peak:
+    """Find the peak of the votes of each line.
+
+    Parameters
+    ----------
+    beta : (lines, k)
+        Votes, positions along the line. NaN and infinite votes count as absent.
+    weight : (lines, k), optional
+        Weight of each vote, at least 0; 0 is absent. Equal weights when left out.
+
+    Notes
+    -----
+    O(k log k) a line. One vote is its own peak; equal votes are a peak of statistic 0 and width 0.
+    """
+    config = config or PeakConfig()
+    weight = torch.ones_like(beta) if weight is None else weight
+    votes = _trimmed(_packed(beta, weight), config)
+    lines = beta.shape[0]
+    statistic = beta.new_zeros(lines)
+    first = torch.zeros(lines, dtype=torch.int64, device=beta.device)
+    count = votes.count.clone()
+
+    active = torch.nonzero(count > config.minimum).flatten()
+    inner = _slice(votes, active, first[active], count[active])
+    while len(active):
+        low, high, value = _interval(inner, config.rule)
+        statistic[active] = torch.maximum(statistic[active], value)
+        length = high - low + 1
+        # The interval holds even where its statistic ends the search, as in the published code.
+        again = (value >= config.threshold) & (length > config.minimum) & (length < inner.count)
+        first[active] += low
+        count[active] = length
+        rows = torch.nonzero(again).flatten()
+        active, low, length = active[again], low[again], length[again]
+        inner = _slice(inner, rows, low, length)
+    return _median(votes, first, count, statistic)
+
+
+def _packed(beta: Float[Tensor, "lines k"], weight: Float[Tensor, "lines k"]) -> _Votes:
+    absent = ~torch.isfinite(beta) | ~(weight > 0)
+    beta, order = beta.masked_fill(absent, torch.inf).sort(dim=1)
+    weight = torch.gather(weight.masked_fill(absent, 0), 1, order)
+    return _Votes(beta, weight, (~absent).sum(dim=1))
+
+
+def _trimmed(votes: _Votes, config: PeakConfig) -> _Votes:
+    trim = ((votes.count - config.minimum) // 2).clamp(0, config.trim)
+    everything = torch.arange(len(votes.count), device=votes.count.device)
+    return _slice(votes, everything, trim, votes.count - 2 * trim)
+
+
+def _slice(
+    votes: _Votes, rows: Int[Tensor, " some"], first: Int[Tensor, " some"], count: Int[Tensor, " some"]
+) -> _Votes:
+    """Votes first ... first + count - 1 of the chosen lines, packed to the left and as narrow as they allow."""
+    width = int(count.max()) if len(count) else 0
+    position = torch.arange(width, device=count.device)
+    present = position < count[:, None]
+    index = (first[:, None] + position).clamp_max(max(votes.beta.shape[1] - 1, 0))
+    source = rows[:, None]
+    beta = votes.beta[source, index].masked_fill(~present, torch.inf)
+    return _Votes(beta, votes.weight[source, index].masked_fill(~present, 0), count)
+
+
+def _interval(votes: _Votes, rule: str) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines"], Float[Tensor, " lines"]]:
+    """First and last vote of the peak of each line, and Kuiper's statistic of it."""
+    present = torch.arange(votes.beta.shape[1], device=votes.beta.device) < votes.count[:, None]
+    last = votes.count[:, None] - 1
+    start, end = votes.beta[:, :1], torch.gather(votes.beta, 1, last)
+    span = end - start
+    uniform = ((votes.beta - start) / span.clamp_min(torch.finfo(votes.beta.dtype).tiny)).masked_fill(~present, 1)
+    cumulative = votes.weight.cumsum(dim=1)
+    total = torch.gather(cumulative, 1, last)
+    after = cumulative / total - uniform
+    before = (cumulative - votes.weight) / total - uniform
+    before, after = before.masked_fill(~present, torch.inf), after.masked_fill(~present, -torch.inf)
+    low, high, value = _single_peak(before, after) if rule == "single" else _best_segment(before, after, present)
+    # All votes in one place: F - U means nothing there.
+    return low, high, value.masked_fill(span[:, 0] <= 0, 0).clamp(0, 1)
+
+
+def _single_peak(
+    before: Float[Tensor, "lines k"], after: Float[Tensor, "lines k"]
+) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines"], Float[Tensor, " lines"]]:
+    lowest, low = before.min(dim=1)
+    position = torch.arange(before.shape[1], device=before.device)
+    highest, high = after.masked_fill(position < low[:, None], -torch.inf).max(dim=1)
+    return low, high, highest - lowest
+
+
+def _best_segment(
+    before: Float[Tensor, "lines k"], after: Float[Tensor, "lines k"], present: Bool[Tensor, "lines k"]
+) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines"], Float[Tensor, " lines"]]:
+    """Cut where U overtakes F between two votes; each segment then falls to a least F - U and rises to a greatest."""
+    cut = (after[:, :-1] > 0) & (before[:, 1:] <= 0) & present[:, 1:]
+    segment = torch.nn.functional.pad(cut.long().cumsum(dim=1), (1, 0))
+    segments = int(segment.max()) + 1
+    shape = (before.shape[0], segments)
+    lowest = before.new_full(shape, torch.inf).scatter_reduce(1, segment, before, "amin")
+    highest = before.new_full(shape, -torch.inf).scatter_reduce(1, segment, after, "amax")
+    value = highest - lowest
+    greatest = value.amax(dim=1)
+    # Evenly spaced votes stand alone, each a segment as good as the others: equals are kept together, so that the
+    # direction of the line does not choose between them.
+    here = torch.gather(value >= greatest[:, None] - _EQUAL, 1, segment)
+    starts = here & (before == torch.gather(lowest, 1, segment))
+    ends = here & (after == torch.gather(highest, 1, segment))
+    low, last = starts.int().argmax(dim=1), ends.flip(1).int().argmax(dim=1)
+    return low, before.shape[1] - 1 - last, greatest
+
+
+def _median(
+    votes: _Votes, first: Int[Tensor, " lines"], count: Int[Tensor, " lines"], statistic: Float[Tensor, " lines"]
+) -> Peak:
+    """Weighted median of each line's interval; the mean of the two middle votes where they share the middle."""
+    everything = torch.arange(len(count), device=count.device)
+    inner = _slice(votes, everything, first, count)
+    empty = count == 0
+    if inner.beta.shape[1] == 0:
+        nothing = torch.full_like(statistic, torch.nan)
+        return Peak(nothing, statistic, nothing)
+    cumulative = inner.weight.cumsum(dim=1)
+    last = (count - 1).clamp_min(0)[:, None]
+    half = torch.gather(cumulative, 1, last) / 2
+    middle = torch.minimum((cumulative < half).sum(dim=1, keepdim=True), last)
+    upper = torch.minimum((cumulative <= half).sum(dim=1, keepdim=True), last)
+    beta = (torch.gather(inner.beta, 1, middle) + torch.gather(inner.beta, 1, upper))[:, 0] / 2
+    width = (torch.gather(inner.beta, 1, last) - inner.beta[:, :1])[:, 0]
+    return Peak(beta.masked_fill(empty, torch.nan), statistic, width.masked_fill(empty, torch.nan))

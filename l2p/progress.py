@@ -1,0 +1,110 @@
+"""Progress bars for people who wait: on stderr and only on a terminal; the core only ever sees ``advance``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any, Protocol, runtime_checkable
+
+#: Seconds between two updates of a bar, so that ``advance`` may be called in tight loops.
+REFRESH_SECONDS = 0.1
+
+
+@runtime_checkable
+class Progress(Protocol):
+    """Something that shows how far named tasks are.
+
+    >>> with NO_PROGRESS.task("nearest lines", total=100) as advance:
+    ...     advance(100)
+    """
+
+    def task(self, name: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
+        """Open a task of ``total`` steps; what it gives is called with the number of steps just done."""
+        ...
+
+
+class SilentProgress:
+    """Shows nothing."""
+
+    @contextmanager
+    def task(self, name: str, total: int) -> Iterator[Callable[[int], None]]:
+        """Open a task that nobody sees."""
+        yield _ignore
+
+
+class TerminalProgress:
+    """Bars with rate and remaining time on stderr; tasks may be nested, and vanish when they are done."""
+
+    def __init__(self) -> None:
+        self._bars: Any = None
+        self._open = 0
+
+    @contextmanager
+    def task(self, name: str, total: int) -> Iterator[Callable[[int], None]]:
+        """Open a bar of ``total`` steps."""
+        if self._bars is None:
+            self._bars = _bars()
+        if self._open == 0:
+            self._bars.start()
+        self._open += 1
+        bar = _Bar(self._bars, name, total)
+        try:
+            yield bar.advance
+        finally:
+            self._bars.remove_task(bar.key)
+            self._open -= 1
+            if self._open == 0:
+                self._bars.stop()
+
+
+class _Bar:
+    """One line of the display; counts are collected and shown every ``REFRESH_SECONDS``."""
+
+    def __init__(self, bars: Any, name: str, total: int) -> None:
+        self._bars = bars
+        self.key = bars.add_task(name, total=total)
+        self._pending = 0
+        self._shown = time.monotonic()
+
+    def advance(self, count: int) -> None:
+        self._pending += count
+        now = time.monotonic()
+        if now - self._shown >= REFRESH_SECONDS:
+            self._bars.advance(self.key, self._pending)
+            self._pending, self._shown = 0, now
+
+
+#: The default of every function that takes ``progress``.
+NO_PROGRESS = SilentProgress()
+
+
+def terminal_progress() -> Progress:
+    """Bars if stderr is a terminal, else silence."""
+    return TerminalProgress() if sys.stderr.isatty() else NO_PROGRESS
+
+
+def _ignore(count: int) -> None:
+    pass
+
+
+def _rate(speed: float | None) -> str:
+    """Steps per second; per minute where that would say 0 or little more."""
+    if not speed:
+        return ""
+    return f"{speed:,.0f}/s" if speed >= 10 else f"{60 * speed:,.0f}/min"
+
+
+def _bars() -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as RichProgress
+    from rich.text import Text
+
+    class RateColumn(ProgressColumn):
+        def render(self, task: Any) -> Text:
+            return Text(_rate(task.speed), style="progress.data.speed")
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), RateColumn(), TimeRemainingColumn())
+    return RichProgress(*columns, console=Console(stderr=True), transient=True)

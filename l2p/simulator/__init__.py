@@ -1,0 +1,114 @@
+"""A procedural Structure-from-Motion simulator: scenes without data.
+
+A layout builds textured surfaces and a camera path; keypoints are seen, matched, triangulated and filtered as an SfM
+program would. ``docs/simulator.md`` compares the result with real models.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from l2p.errors import InputError
+from l2p.scene import Scene
+from l2p.simulator.layouts import LAYOUTS
+from l2p.simulator.model import SimulatedModel
+from l2p.simulator.observe import Observer, Sightings
+from l2p.simulator.texture import texture_stage
+from l2p.simulator.triangulate import Tracks, triangulate
+
+__all__ = ["KINDS", "MIN_POINTS", "SimulatedModel", "simulate", "simulate_model"]
+
+#: Kinds of scene.
+KINDS = tuple(LAYOUTS)
+#: Fewest points that still make a scene.
+MIN_POINTS = 100
+#: Candidates drawn at once, which bounds memory (about 150 MB).
+BATCH = 10_000
+#: Batches without enough points before the search is given up; layouts keep far from it.
+PATIENCE = 60
+
+
+def simulate(kind: str = "room", points: int = 20_000, seed: int = 0) -> Scene:
+    """Simulate the sparse points of an SfM model.
+
+    Parameters
+    ----------
+    kind : {"room", "object", "facade", "street", "terrain"}
+    points : int
+        Exact number of points, at least 100.
+    seed : int
+        Layout, cameras, texture and noise follow from it; more ``points`` sample the same world more densely.
+
+    Returns
+    -------
+    Scene
+        In metres, z up; ids are 1 to ``points``, in random order of place.
+
+    Raises
+    ------
+    InputError
+        If the kind is unknown, or ``points`` or ``seed`` is not a whole number in range.
+
+    Notes
+    -----
+    Time is linear in ``points``: about 2 s for 20 000, a minute for 10^6 (one core, under 1 GB).
+
+    Examples
+    --------
+    >>> simulate("facade", points=500, seed=1).xyz.shape
+    (500, 3)
+    """
+    return simulate_model(kind, points, seed).scene
+
+
+def simulate_model(kind: str = "room", points: int = 20_000, seed: int = 0) -> SimulatedModel:
+    """Simulate a whole SfM model, with cameras and observations; arguments as of ``simulate``."""
+    _check(kind, points, seed)
+    # Independent streams: the world of a seed does not depend on how many points are asked for.
+    world, views = (np.random.default_rng([seed, KINDS.index(kind), stream]) for stream in range(2))
+    stage, cameras, capture = LAYOUTS[kind](world)
+    observer = Observer(stage, texture_stage(stage, world), cameras, capture)
+    tracks: list[Tracks] = []
+    while sum(len(part.xyz) for part in tracks) < points:
+        if len(tracks) > PATIENCE + 10 * points // BATCH:
+            raise RuntimeError(f"the {kind} of seed {seed} shows too few points to its cameras")
+        sightings = observer.sight(min(BATCH, 4 * points), views)
+        tracks.append(triangulate(sightings, cameras, capture.pixel_noise, views))
+    return _assemble(tracks, points, cameras)
+
+
+def _assemble(tracks: list[Tracks], points: int, cameras) -> SimulatedModel:
+    """The first ``points`` points of all batches as one model."""
+    start = np.concatenate([[0], np.cumsum([len(part.xyz) for part in tracks])])
+    parts: list[Sightings] = [part.sightings for part in tracks]
+    owner = np.concatenate([part.point + first for part, first in zip(parts, start[:-1], strict=True)])
+    views = np.searchsorted(owner, points)
+    length = np.concatenate([part.length for part in tracks])[:points]
+    rgb = np.concatenate([part.rgb for part in parts])[:points]
+    scene = Scene(
+        xyz=np.concatenate([part.xyz for part in tracks])[:points],
+        rgb=np.clip(np.rint(rgb), 0, 255).astype(np.uint8),
+        error=np.concatenate([part.error for part in tracks])[:points].astype(np.float32),
+        track_length=length.astype(np.int32),
+        ids=np.arange(1, points + 1),
+        camera_centers=cameras.center,
+    )
+    return SimulatedModel(
+        scene,
+        cameras,
+        true_xyz=np.concatenate([part.xyz for part in parts])[:points],
+        wrong=np.concatenate([part.wrong for part in parts])[:points],
+        view_point=owner[:views],
+        view_camera=np.concatenate([part.camera for part in parts])[:views],
+        view_pixel=np.concatenate([part.pixel for part in tracks])[:views],
+    )
+
+
+def _check(kind: object, points: object, seed: object) -> None:
+    """Refuse arguments that make no scene."""
+    if kind not in KINDS:
+        raise InputError(f"got kind {kind!r}; expected one of {', '.join(KINDS)}")
+    if isinstance(points, bool) or not isinstance(points, (int, np.integer)) or points < MIN_POINTS:
+        raise InputError(f"got {points!r} points; expected a whole number of at least {MIN_POINTS}")
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise InputError(f"got seed {seed!r}; expected a whole number of at least 0")

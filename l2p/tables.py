@@ -1,0 +1,117 @@
+"""The tables that the command line prints."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from l2p.io.kinds import LINE_CLOUDS, SCENES, Kind, kind_of
+from l2p.io.line_files import load_lines
+from l2p.io.recovery_files import load_recovery
+from l2p.io.scene_files import load_scene, load_truth
+from l2p.metrics import Scores
+
+
+def print_scores(columns: dict[str, Scores]) -> None:
+    """The figures of each column, on stdout."""
+    table = Table(*("", *columns), title="error of the recovered points")
+    for row in zip(*(_score_rows(scores) for scores in columns.values()), strict=True):
+        table.add_row(row[0][0], *(value for _, value in row))
+    Console(file=sys.stdout).print(table)
+
+
+def print_info(path: str | PathLike[str]) -> None:
+    """What a file is, on stdout.
+
+    Raises
+    ------
+    FileNotFoundError, InputError
+        As the reader of that kind of file.
+    """
+    kind = kind_of(path)
+    table = Table("what", kind.value, title=escape(Path(path).name))
+    for what, value in _describe(path, kind):
+        table.add_row(what, escape(value))
+    Console(file=sys.stdout).print(table)
+
+
+def _score_rows(scores: Scores) -> list[tuple[str, str]]:
+    return [
+        ("lines", str(scores.lines)),
+        ("spacing (scene units)", f"{scores.spacing:.4g}"),
+        ("median error (scene units)", f"{scores.median:.4g}"),
+        ("mean error (scene units)", f"{scores.mean:.4g}"),
+        ("median error (spacings)", f"{scores.median_spacings:.3f}"),
+        *((f"within {limit} spacings", f"{share:.1%}") for limit, share in scores.within_spacings.items()),
+        *((f"within {limit} cm", f"{share:.1%}") for limit, share in scores.within_cm.items()),
+        ("most confident half within 1 spacing", f"{scores.confident_half:.1%}"),
+        ("most confident quarter within 1 spacing", f"{scores.confident_quarter:.1%}"),
+        ("calibration error", f"{scores.calibration_error:.3f}"),
+    ]
+
+
+def _describe(path: str | PathLike[str], kind: Kind) -> Sequence[tuple[str, str]]:
+    if kind in LINE_CLOUDS:
+        return _describe_lines(path)
+    if kind in SCENES:
+        return _describe_scene(path)
+    return _describe_recovery(path) if kind is Kind.RECOVERY else _describe_truth(path)
+
+
+def _describe_lines(path: str | PathLike[str]) -> list[tuple[str, str]]:
+    cloud = load_lines(path)
+    return [("lines", str(len(cloud))), ("scheme", cloud.scheme), ("colours", _yes(cloud.rgb))]
+
+
+def _describe_scene(path: str | PathLike[str]) -> list[tuple[str, str]]:
+    scene = load_scene(path)
+    cameras = "unknown" if scene.camera_centers is None else str(len(scene.camera_centers))
+    tracks = "unknown" if scene.track_length is None else f"{np.median(scene.track_length):g} images (median)"
+    return [
+        ("points", str(len(scene))),
+        *_extent(scene.xyz),
+        ("colours", _yes(scene.rgb)),
+        ("ids", _yes(scene.ids)),
+        ("track length", tracks),
+        ("cameras", cameras),
+    ]
+
+
+def _describe_recovery(path: str | PathLike[str]) -> list[tuple[str, str]]:
+    recovery = load_recovery(path)
+    low, middle, high = np.quantile(recovery.confidence, (0.25, 0.5, 0.75))
+    return [
+        ("points", str(len(recovery))),
+        ("kept", str(len(recovery) if recovery.kept is None else int(recovery.kept.sum()))),
+        ("method", str(recovery.info.get("method", "unknown"))),
+        ("confidence (quartiles)", f"{low:.2f} {middle:.2f} {high:.2f}"),
+        *_extent(recovery.xyz),
+        ("colours", _yes(recovery.rgb)),
+    ]
+
+
+def _describe_truth(path: str | PathLike[str]) -> list[tuple[str, str]]:
+    truth = load_truth(path)
+    return [
+        ("points", str(len(truth))),
+        ("spacing (scene units)", f"{truth.spacing:.4g}"),
+        *_extent(truth.xyz),
+        ("ids", _yes(truth.ids)),
+        ("seed", "not stored" if truth.seed is None else str(truth.seed)),
+    ]
+
+
+def _extent(xyz: np.ndarray) -> list[tuple[str, str]]:
+    low, high = xyz.min(axis=0), xyz.max(axis=0)
+    return [(f"{axis} from, to", f"{a:.4g}, {b:.4g}") for axis, a, b in zip("xyz", low, high, strict=True)]
+
+
+def _yes(value: object) -> str:
+    return "no" if value is None else "yes"

@@ -1,0 +1,49 @@
+"""What all tests share. Types and shapes of l2p are checked by the jaxtyping hook that pyproject.toml switches on."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+# Small problems are faster on one thread; read when torch loads.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of real scenes beside the project; tests that need it are skipped where it is absent."""
+    folder = ROOT.parent / "shared"
+    if not folder.is_dir():
+        pytest.skip(f"needs the real scenes of {folder}, which is absent here")
+    return folder
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A generator of its own for each test."""
+    return np.random.default_rng(0)
+
+
+@pytest.fixture(scope="session")
+def scene_points() -> np.ndarray:
+    """400 points on the surface of three boxes on a floor, (400, 3): clustered and planar, as SfM clouds are."""
+    rng = np.random.default_rng(7)
+    floor = rng.uniform((-2, -2, 0), (2, 2, 0), size=(100, 3))
+    corners = np.array([(-1.5, -1.0, 0.0), (0.3, -0.5, 0.0), (-0.5, 0.8, 0.0)])
+    points = np.concatenate([floor, *(corner + _box_surface(100, rng) for corner in corners)])
+    # Triangulation noise, so that no coordinate repeats.
+    points = points + rng.normal(scale=0.004, size=points.shape)
+    points.setflags(write=False)
+    return points
+
+
+def _box_surface(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Points on the surface of a box of 0.8 x 0.5 x 0.6 with a corner at the origin."""
+    points = rng.uniform(size=(count, 3))
+    points[np.arange(count), rng.integers(0, 3, count)] = rng.integers(0, 2, count)
+    return points * (0.8, 0.5, 0.6)

@@ -1,0 +1,109 @@
+"""Whatever bytes come in, a reader gives a result or one sentence, never another error."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from l2p.errors import InputError
+from l2p.io.line_files import load_lines, save_lines
+from l2p.io.recovery_files import load_recovery, save_recovery
+from l2p.io.scene_files import load_scene, load_truth, save_scene_ply, save_truth
+from l2p.lifting import lift
+from l2p.recovery import Recovery
+from l2p.scene import Scene, Truth
+
+READERS: tuple[Callable[[Path], Any], ...] = (load_lines, load_scene, load_truth, load_recovery)
+POINTS = np.random.default_rng(0).normal(size=(5, 3))
+
+
+def _seeds() -> dict[str, bytes]:
+    """A small valid file of every format."""
+    lines = lift(POINTS, seed=0, rgb=np.zeros((5, 3), dtype=np.uint8))
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        for ending in ("npz", "ply", "obj"):
+            save_lines(lines, root / f"lines.{ending}")
+        save_scene_ply(Scene(POINTS), root / "scene.ply")
+        save_truth(Truth(POINTS, np.arange(5), 1.0), root / "truth.npz")
+        save_recovery(Recovery(POINTS, np.ones(5, dtype=np.float32), np.zeros(5)), root / "recovery.npz")
+        (root / "lines.txt").write_text("# x y z dx dy dz\n1 2 3 0 0 1\n4;5;6;1;0;0\n")
+        (root / "ascii.ply").write_text(
+            "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+            "element edge 1\nproperty list uchar int other\nproperty int vertex1\nproperty int vertex2\nend_header\n"
+            "0 0 0\n1 1 1\n1 7 0 1\n"
+        )
+        return {file.name: file.read_bytes() for file in root.iterdir()}
+
+
+SEEDS = _seeds()
+
+
+def _read(content: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "file"
+        path.write_bytes(content)
+        for reader in READERS:
+            with contextlib.suppress(InputError):
+                reader(path)
+
+
+@st.composite
+def mutated(draw: st.DrawFn) -> bytes:
+    """A valid file with some bytes changed, a piece cut out or doubled, or the end missing."""
+    content = bytearray(SEEDS[draw(st.sampled_from(sorted(SEEDS)))])
+    for _ in range(draw(st.integers(1, 4))):
+        at = draw(st.integers(0, max(0, len(content) - 1)))
+        piece = draw(st.integers(1, 40))
+        change = draw(st.sampled_from(["set", "cut", "double", "end"]))
+        if change == "set":
+            content[at : at + 1] = bytes([draw(st.integers(0, 255))])
+        elif change == "cut":
+            del content[at : at + piece]
+        elif change == "double":
+            content[at:at] = content[at : at + piece]
+        else:
+            del content[at:]
+    return bytes(content)
+
+
+@given(st.binary(max_size=300) | st.text(alphabet="vl 0123456789.-/e,;#\n", max_size=200).map(str.encode))
+@settings(deadline=None, max_examples=150)
+def test_random_bytes(content):
+    _read(content)
+
+
+@given(st.sampled_from([b"PK\x03\x04", b"PK\x05\x06", b"ply\n", b"ply\nformat ascii 1.0\n"]), st.binary(max_size=200))
+@settings(deadline=None, max_examples=100)
+def test_random_bytes_after_a_true_beginning(beginning, content):
+    _read(beginning + content)
+
+
+@given(mutated())
+@settings(deadline=None, max_examples=400)
+def test_mutated_files(content):
+    _read(content)
+
+
+@pytest.mark.parametrize("text", [False, True])
+@given(st.sampled_from(["points3D", "images", "cameras", "rigs", "frames"]), st.data())
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_mutated_models(write_model, text, table, data):
+    with tempfile.TemporaryDirectory() as folder:
+        model = write_model(Path(folder) / "model", points=8, text=text)
+        file = model / f"{table}.{'txt' if text else 'bin'}"
+        content = bytearray(file.read_bytes())
+        for _ in range(data.draw(st.integers(1, 3))):
+            at = data.draw(st.integers(0, len(content) - 1))
+            content[at] = data.draw(st.integers(0, 255))
+        file.write_bytes(bytes(content[: data.draw(st.integers(len(content) // 2, len(content)))]))
+        with contextlib.suppress(InputError):
+            load_scene(model)

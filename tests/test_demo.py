@@ -1,0 +1,55 @@
+"""The demonstration from end to end, small."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import l2p
+from l2p import demo
+from l2p.scene import Scene, Truth
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("demo") / "out"
+    demo.run(path, points=400, seed=3)
+    return path
+
+
+def test_files_are_all_there(folder):
+    assert {path.name for path in folder.iterdir()} == set(demo.FILES)
+
+
+def test_files_agree(folder):
+    scene, truth = Scene.load(folder / demo.MODEL), Truth.load(folder / demo.TRUTH)
+    recovery = l2p.Recovery.load(folder / demo.RECOVERY)
+    lines = l2p.LineCloud.load(folder / demo.LINES)
+    np.testing.assert_array_equal(scene.xyz[truth.index], truth.xyz)
+    assert len(scene) == len(lines) == len(recovery) == len(Scene.load(folder / demo.CLOUD)) == 400
+
+
+def test_line_cloud_has_no_colours(folder):
+    assert l2p.LineCloud.load(folder / demo.LINES).rgb is None
+
+
+def test_picture_is_a_png(folder):
+    assert (folder / demo.PICTURE).read_bytes().startswith(b"\x89PNG")
+
+
+def test_earlier_output_is_kept(folder):
+    with pytest.raises(l2p.InputError, match="exists"):
+        demo.run(folder, points=400)
+
+
+def test_earlier_output_is_replaced_on_demand(folder, capsys):
+    demo.run(folder, points=300, seed=3, overwrite=True)
+    assert len(Truth.load(folder / demo.TRUTH)) == 300
+    assert "median error" in capsys.readouterr().out
+
+
+def test_foreign_folder_is_never_replaced(tmp_path):
+    (tmp_path / "letter.txt").write_text("dear")
+    with pytest.raises(l2p.InputError, match=r"letter\.txt"):
+        demo.run(tmp_path, points=300, overwrite=True)
+    assert (tmp_path / "letter.txt").read_text() == "dear"
