@@ -33,7 +33,7 @@ class Frame:
         Median distance of the lines from it, scene units.
     """
 
-    center: Float[np.ndarray, 3]
+    center: Float[np.ndarray, "3"]
     unit: float
 
     @classmethod
@@ -87,8 +87,8 @@ class Frame:
 
 def _meeting_point(
     direction: Float[np.ndarray, "lines 3"], foot: Float[np.ndarray, "lines 3"], weight: Float[np.ndarray, " lines"]
-) -> Float[np.ndarray, 3]:
-    """The point with the least weighted sum of squared distances to the lines, nearest to the mean foot if not unique."""
+) -> Float[np.ndarray, "3"]:
+    """The point with the least weighted sum of squared distances to the lines, the nearest one to the mean foot."""
     weight = weight / weight.sum()
     mean = weight @ foot
     apart = foot - mean
@@ -98,6 +98,6 @@ def _meeting_point(
 
 
 def _distance(
-    direction: Float[np.ndarray, "lines 3"], foot: Float[np.ndarray, "lines 3"], point: Float[np.ndarray, 3]
+    direction: Float[np.ndarray, "lines 3"], foot: Float[np.ndarray, "lines 3"], point: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, " lines"]:
     return np.linalg.norm(np.cross(point - foot, direction), axis=1)

@@ -81,7 +81,7 @@ def _products(
     other_second: Float[Tensor, "others 3"],
     neighbors: Int[Tensor, "lines k"],
 ) -> _Products:
-    """d_i . d_j, d_i . s_j and s_i . d_j for j = ``neighbors[i]``, by one gather and one small matrix product a line."""
+    """d_i . d_j, d_i . s_j and s_i . d_j for j = ``neighbors[i]``, by a gather and a small matrix product a line."""
     table = torch.cat([other_direction, other_second], dim=1)
     # (lines, k, 6), or an empty table's worth of nothing.
     gathered = table[neighbors.clamp_min(0).flatten().long()].view(*neighbors.shape, 6)

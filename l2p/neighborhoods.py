@@ -30,7 +30,7 @@ VOTES = 1 << 21
 class Estimate(NamedTuple):
     """A position on each line, in the working frame, and what it rests on.
 
-    ``confidence`` is in [0, 1], 0 where a line had no vote at all and was placed next to the centre. ``neighbors`` is -1 and
+    ``confidence`` is in [0, 1], 0 where a line had no vote and was placed next to the centre. ``neighbors`` is -1 and
     ``affinity`` 0 where a line has fewer than k neighbours.
     """
 

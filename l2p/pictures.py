@@ -39,8 +39,8 @@ POINT_SIZE = 2.1
 class Box:
     """An upright box: opposite corners ``low`` and ``high``, scene units."""
 
-    low: Float[np.ndarray, 3]
-    high: Float[np.ndarray, 3]
+    low: Float[np.ndarray, "3"]
+    high: Float[np.ndarray, "3"]
 
     @classmethod
     def of_room(cls, scene: Scene) -> Box:
@@ -91,7 +91,7 @@ class Box:
 class Camera:
     """A pinhole: ``axes`` has the rows right, up, forward."""
 
-    eye: Float[np.ndarray, 3]
+    eye: Float[np.ndarray, "3"]
     axes: Float[np.ndarray, "3 3"]
 
     @classmethod
@@ -228,7 +228,7 @@ def _brightened(rgb: UInt8[np.ndarray, "points 3"]) -> Float[np.ndarray, "points
 
 
 def _inside(
-    points: Float[np.ndarray, "points 3"], low: Float[np.ndarray, 3], high: Float[np.ndarray, 3]
+    points: Float[np.ndarray, "points 3"], low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, " points"]:
     return np.all((points >= low) & (points <= high), axis=1)
 
