@@ -12,6 +12,9 @@ INSTALLED_DEV := $(VENV)/.installed-dev
 # -qq leaves errors only.
 PIP_INSTALL = $(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt
 
+# Threads of torch that wait should sleep, not spin: tests then also end on a busy machine.
+export OMP_WAIT_POLICY ?= PASSIVE
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help demo test lint types clean
@@ -20,7 +23,7 @@ help:  ## Show this list.
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
 
 demo: $(INSTALLED)  ## Simulate a room, hide it in a line cloud, recover it, draw the picture (OUTPUT=demo-output).
-	@$(BIN)/l2p demo -o "$(OUTPUT)" --force --points 20000 --seed 3
+	@$(BIN)/l2p demo -o "$(OUTPUT)" --force
 
 test: $(INSTALLED_DEV)  ## Run all tests.
 	@$(BIN)/python -m pytest -q $(PYTEST_ARGS)

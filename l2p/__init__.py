@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from l2p.lines import LineCloud
     from l2p.metrics import evaluate
     from l2p.recovery import Recovery
-    from l2p.scene import Scene
+    from l2p.scene import Scene, Truth
     from l2p.simulator import simulate
 
 __version__ = "0.1.0"
@@ -31,6 +31,7 @@ _HOME = {
     "LineCloud": "l2p.lines",
     "Recovery": "l2p.recovery",
     "Scene": "l2p.scene",
+    "Truth": "l2p.scene",
     "evaluate": "l2p.metrics",
     "lift": "l2p.lifting",
     "lift_indexed": "l2p.lifting",

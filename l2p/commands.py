@@ -68,6 +68,8 @@ def recover(arguments: Namespace) -> None:
         device=arguments.device,
         progress=terminal_progress(),
     )
+    if arguments.seed is not None:
+        recovery = replace(recovery, info={**recovery.info, "seed": arguments.seed})
     recovery = _filtered(recovery, arguments.min_confidence, arguments.clean)
     kept = len(recovery) if recovery.kept is None else int(recovery.kept.sum())
     stats = {

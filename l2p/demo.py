@@ -35,8 +35,8 @@ MODEL, MAP, LINES, RECOVERY, CLOUD, TRUTH, PICTURE = FILES = (
 
 def run(
     folder: str | PathLike[str],
-    points: int = 20_000,
-    seed: int = 0,
+    points: int,
+    seed: int,
     progress: Progress = NO_PROGRESS,
     *,
     overwrite: bool = False,
@@ -67,7 +67,9 @@ def run(
         recovery = recover(lines, progress=progress)
         recovery.save(place / RECOVERY)
         recovery.save(place / CLOUD)
-        truth = Truth(scene.xyz[index], index, spacing(scene.xyz), seed=seed)
+        # With the ids, `l2p recover --model --truth` makes a COLMAP model of the recovered points.
+        ids = None if scene.ids is None else scene.ids[index]
+        truth = Truth(scene.xyz[index], index, spacing(scene.xyz), ids, seed)
         truth.save(place / TRUTH)
         scores = evaluate(recovery, truth.xyz, truth.spacing, metric=True)
         _draw(place, scene, lines, recovery, truth.xyz, scores)

@@ -9,6 +9,7 @@ from l2p.errors import InputError
 from l2p.lines import LineCloud, finite_rows
 
 SCHEMES = ("uniform",)
+_STREAM = 0x11FE
 
 
 def lift(
@@ -80,7 +81,8 @@ def lift_indexed(
         raise InputError(f"got scheme {scheme!r}; expected one of {', '.join(SCHEMES)}")
     if rgb is not None and rgb.shape != points.shape:
         raise InputError(f"got rgb of shape {rgb.shape}; expected {points.shape}, one colour a point")
-    rng = np.random.default_rng(seed)
+    # A stream of its own: default_rng(seed) may have drawn the points, and would draw them again as directions.
+    rng = np.random.default_rng(None if seed is None else [seed, _STREAM])
     chosen = _subset(len(points), fraction, rng)
     direction = _upper(rng.normal(size=(len(chosen), 3)))
     order = np.lexsort(direction.T)

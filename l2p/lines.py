@@ -12,6 +12,9 @@ from l2p.errors import InputError
 
 #: Largest |d| - 1 and |d . m| / |m| that count as rounding of a writer in single precision.
 UNIT_TOLERANCE = 1e-4
+#: What rounding in double precision leaves of |d| - 1 and |d . m| / |m| once they were put right. Smaller ones are
+#: left alone, so that a line cloud read back from its file is the same to the last bit.
+_ROUNDING = 8 * np.finfo(np.float64).eps
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +56,7 @@ class LineCloud:
         _refuse(
             np.abs(length[:, 0] - 1) > UNIT_TOLERANCE, "direction of length other than 1", "normalise the direction"
         )
-        direction = direction / length
+        direction = np.where(np.abs(length - 1) > _ROUNDING, direction / length, direction)
         along = np.sum(direction * moment, axis=1)
         size = np.linalg.norm(moment, axis=1)
         _refuse(
@@ -61,7 +64,7 @@ class LineCloud:
             "moment that is not perpendicular to its direction",
             "store p x d for a point p on the line",
         )
-        moment = moment - along[:, None] * direction
+        moment = moment - np.where(np.abs(along) > _ROUNDING * size, along, 0.0)[:, None] * direction
         for name, value in (("direction", direction), ("moment", moment)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -120,7 +123,7 @@ def finite_rows(name: str, value: object) -> Float[np.ndarray, "lines 3"]:
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"got {name} of shape {array.shape}; expected (lines, 3)")
     array = array.astype(np.float64)
-    _refuse(~np.isfinite(array).all(axis=1), f"{name} that is NaN or infinite", "remove the line")
+    _refuse(np.asarray(~np.isfinite(array).all(axis=1)), f"{name} that is NaN or infinite", "remove the line")
     return array
 
 

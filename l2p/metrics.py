@@ -100,7 +100,7 @@ def nearest_neighbors(points: Float[np.ndarray, "points 3"], k: int) -> NearestP
     k = max(0, min(k, len(points) - 1))
     if k == 0:
         return NearestPoints(np.zeros((len(points), 0), dtype=np.int64), np.zeros((len(points), 0)))
-    distance, index = KDTree(points).query(points, k + 1, workers=-1)
+    distance, index = map(np.asarray, KDTree(points).query(points, k + 1, workers=-1))
     # Self is not always first: points that coincide with others come in any order.
     own = index == np.arange(len(points))[:, None]
     own[:, -1] |= ~own.any(axis=1)

@@ -165,6 +165,9 @@ def test_bad_lift_flags(folder, capfd, flags, message):
     assert message in refused(folder, capfd, "lift", "scene.npz", "-o", "out.npz", *flags)
 
 
+HEURISTIC = ("--method", "heuristic")
+
+
 @pytest.mark.parametrize(
     ("output", "flags", "message"),
     [
@@ -173,9 +176,9 @@ def test_bad_lift_flags(folder, capfd, flags, message):
         ("out.npz", ["--device", "quantum"], "got device 'quantum'; expected one of cpu"),
         ("out.npz", ["--threads", "0"], "got --threads 0; expected at least 1"),
         ("out.npz", ["--rounds", "-1"], "-1 rounds; expected 0"),
-        ("out.npz", ["--density", "0"], "density 0.0; expected a number in (0, 1]"),
+        ("out.npz", [*HEURISTIC, "--density", "0"], "density 0.0; expected a number in (0, 1]"),
         ("out.npz", ["--min-confidence", "2"], "--min-confidence 2.0; expected a number in [0, 1]"),
-        ("out.npz", ["--rounds", "0", "--min-confidence", "1"], "no point has confidence 1.0; the highest is"),
+        ("out.npz", [*HEURISTIC, "--min-confidence", "1"], "no point has confidence 1.0; the highest is"),
         ("out.npz", ["--json", "out.npz"], "got out.npz twice"),
         ("out.npz", ["--json", "lines.npz"], "got lines.npz twice"),
         ("out.npz", ["--json", "truth.npz"], "truth.npz exists"),

@@ -115,10 +115,12 @@ def test_the_same_recovery_gives_the_same_bytes(tmp_path, lifted):
 
 def test_stats_say_what_was_run(tmp_path, lifted, capsys):
     stats = tmp_path / "stats.json"
-    assert run("recover", lifted[0], "-o", tmp_path / "out.npz", "--rounds", 0, "--json", stats) == 0
+    words = ("--method", "heuristic", "--rounds", 0, "--seed", 5)
+    assert run("recover", lifted[0], "-o", tmp_path / "out.npz", *words, "--json", stats) == 0
     figures = json.loads(stats.read_text())
     assert figures["method"] == "heuristic"
     assert figures["settings"]["rounds"] == 0
+    assert figures["seed"] == 5
     assert figures["lines"] == figures["kept"] == 300
     assert figures["seconds"] > 0
     capsys.readouterr()

@@ -199,7 +199,7 @@ def test_a_users_answer_of_the_wrong_length_is_refused(
 @pytest.mark.parametrize(
     ("entry", "sentence"),
     [
-        ({"name": "orakel"}, "got method 'orakel'; expected a name of heuristic, oracle"),
+        ({"name": "orakel"}, "got method 'orakel'; expected a name of heuristic, tomography"),
         ({}, "got method None"),
         ({"name": "oracle", "K": 5}, "method oracle: Key 'K' not in"),
         ({"name": "oracle", "k": "many"}, "method oracle: Value 'many'"),

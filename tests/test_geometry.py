@@ -105,8 +105,9 @@ def test_a_flipped_direction_negates_its_own_votes_only(seed):
 @few
 def test_votes_follow_a_similarity(seed, log_scale):
     point, direction = draw(seed)
-    scale, shift = 10**log_scale, np.random.default_rng(seed).normal(size=3)
-    turn = Rotation.random(random_state=seed).as_matrix()
+    rng = np.random.default_rng(seed)
+    scale, shift = 10**log_scale, rng.normal(size=3)
+    turn = Rotation.from_rotvec(3 * rng.normal(size=3)).as_matrix()
     one = lines_of(point, direction)
     other = lines_of(scale * point @ turn.T + scale * shift, direction @ turn.T)
     place, sine = closest_places(one, everyone(8))

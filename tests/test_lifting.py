@@ -80,7 +80,10 @@ def test_colours_follow_their_points(walk):
         ({"fraction": 1.1}, r"got fraction 1.1; expected a number in \(0, 1\]"),
         ({"fraction": float("nan")}, r"got fraction nan; expected a number in \(0, 1\]"),
         ({"scheme": "paired"}, "got scheme 'paired'; expected one of uniform"),
-        ({"rgb": np.zeros((4, 3), dtype=np.uint8)}, r"got rgb of shape \(4, 3\); expected \(5, 3\), one colour a point"),
+        (
+            {"rgb": np.zeros((4, 3), dtype=np.uint8)},
+            r"got rgb of shape \(4, 3\); expected \(5, 3\), one colour a point",
+        ),
     ],
 )
 def test_what_cannot_be_lifted_is_refused(arguments, message, monkeypatch):

@@ -95,6 +95,17 @@ def test_single_precision_input_is_made_unit_and_perpendicular():
     assert np.abs(np.sum(rounded.direction * rounded.moment, axis=1)).max() < 1e-13 * np.abs(cloud.moment).max()
 
 
+@given(seeds, st.sampled_from([np.float32, np.float64]))
+@few
+def test_a_line_cloud_made_of_its_own_arrays_is_the_same_to_the_last_bit(seed, precision):
+    drawn = LineCloud.through(*draw(seed, 200))
+    direction, moment = (part.astype(precision).astype(np.float64) for part in (drawn.direction, drawn.moment))
+    once = LineCloud(direction, moment)
+    again = LineCloud(once.direction, once.moment)
+    np.testing.assert_array_equal(again.direction, once.direction)
+    np.testing.assert_array_equal(again.moment, once.moment)
+
+
 def test_no_lines_are_a_line_cloud():
     cloud = LineCloud(np.zeros((0, 3)), np.zeros((0, 3)))
     assert len(cloud) == 0

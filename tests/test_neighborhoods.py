@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
 from l2p import neighborhoods
+from l2p.attack import run
 from l2p.errors import InputError
 from l2p.frame import Frame
 from l2p.geometry import Lines, closest_points
 from l2p.lifting import lift_indexed
-from l2p.neighborhoods import Heuristic, HeuristicConfig, Method, member, vote
+from l2p.neighborhoods import Estimate, Heuristic, HeuristicConfig, Method, member, vote
 from l2p.peak import PeakConfig, find_peak
+from l2p.progress import NO_PROGRESS, Progress
 from l2p.search import nearest_lines_to_lines
 
 
@@ -53,7 +57,7 @@ def test_a_vote_is_the_peak_of_the_closest_points(clusters):
 
 
 def test_affinities_decide_whose_vote_counts(clusters):
-    lines, beta, mates = clusters
+    lines, _, mates = clusters
     strangers = torch.tensor([[j for j in range(60) if j // 15 != i // 15][:30] for i in range(60)])
     neighbors = torch.cat([mates, strangers], dim=1)
     affinity = torch.cat([torch.ones(60, 14), torch.zeros(60, 30)], dim=1).double()
@@ -143,8 +147,8 @@ def test_settings_that_make_no_sense_are_refused(setting, message):
         HeuristicConfig(**setting)
 
 
-def locate(heuristic: Heuristic, points: np.ndarray) -> tuple[neighborhoods.Estimate, torch.Tensor]:
-    lines, index = lift_indexed(points, seed=3)
+def locate(heuristic: Heuristic, points: np.ndarray, seed: int = 3) -> tuple[Estimate, torch.Tensor]:
+    lines, index = lift_indexed(points, seed=seed)
     frame = Frame.of(lines)
     estimate = heuristic.locate(frame.enter(lines), frame)
     error = (frame.enter(lines).at(estimate.beta) - frame.enter_points(points[index])).norm(dim=1)
@@ -160,9 +164,11 @@ def test_without_rounds_the_nearest_lines_vote(scene_points):
 
 
 def test_rounds_help(scene_points):
-    coarse = locate(Heuristic(HeuristicConfig(rounds=0)), scene_points)[1].median()
-    fine = locate(Heuristic(), scene_points)[1].median()
-    assert fine < 0.9 * coarse
+    coarse, fine = (
+        np.mean([locate(Heuristic(config), scene_points, seed)[1].median() for seed in range(5)])
+        for config in (HeuristicConfig(rounds=0), HeuristicConfig())
+    )
+    assert fine < 0.95 * coarse
 
 
 def test_neighbours_are_near_both_ways_or_all_near_the_line(scene_points):
@@ -189,13 +195,11 @@ def test_member_is_the_loop_over_sets():
 
 
 def test_a_method_of_ones_own_needs_two_calls_only(scene_points):
-    from l2p.attack import run
-
     class Feet:
-        def locate(self, lines, frame, progress=neighborhoods.NO_PROGRESS):
+        def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
             return vote(lines, torch.zeros(len(lines.direction), 0, dtype=torch.int64))
 
-        def settings(self):
+        def settings(self) -> dict[str, Any]:
             return {}
 
     method: Method = Feet()

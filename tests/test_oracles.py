@@ -155,7 +155,9 @@ def test_bounds_that_make_no_sense_are_refused(room, build, message):
 @pytest.mark.parametrize("bound", [Oracle, LeaveOneOut, lambda points: CandidateOracle(points, Heuristic())])
 def test_the_true_points_must_be_those_of_the_lines(lifted, bound):
     lines, truth = lifted
-    with pytest.raises(InputError, match="got 1499 true points for 1500 lines; expected them in the order of the lines"):
+    with pytest.raises(
+        InputError, match="got 1499 true points for 1500 lines; expected them in the order of the lines"
+    ):
         run(lines, bound(truth[:-1]))
 
 

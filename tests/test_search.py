@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -51,8 +52,14 @@ def loop_twin(pair: Pair, lines: Lines, points: torch.Tensor) -> np.ndarray:
 
 SEARCHES: dict[str, tuple[Callable[..., Nearest], Pair]] = {
     "lines to lines": (lambda lines, points, k, **how: nearest_lines_to_lines(lines, k, **how), line_to_line),
-    "points to lines": (lambda lines, points, k, **how: nearest_points_to_lines(lines, points, k, **how), line_to_point),
-    "lines to points": (lambda lines, points, k, **how: nearest_lines_to_points(points, lines, k, **how), point_to_line),
+    "points to lines": (
+        lambda lines, points, k, **how: nearest_points_to_lines(lines, points, k, **how),
+        line_to_point,
+    ),
+    "lines to points": (
+        lambda lines, points, k, **how: nearest_lines_to_points(points, lines, k, **how),
+        point_to_line,
+    ),
 }
 all_searches = pytest.mark.parametrize("name", SEARCHES)
 
@@ -144,8 +151,6 @@ def test_progress_counts_every_line_once():
             self.done = 0
 
         def task(self, name, total):
-            from contextlib import nullcontext
-
             self.total = total
             return nullcontext(self.add)
 

@@ -1,0 +1,155 @@
+"""Speed and error against Line2Point, the authors' program, on the same points in the same run.
+
+    python benchmarks/against_line2point.py --reference path/to/Line2Point
+
+Line2Point (https://github.com/kunalchelani/Line2Point) has no licence, so no part of it is here: clone it and name the
+folder. Its program runs as it is, in its folder, with the interpreter that runs this file. It needs open3d, scipy and
+tqdm, which the virtual environment of this project has.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import l2p
+from l2p.io.scene_files import save_scene_ply
+from l2p.metrics import spacing
+
+PROGRAM = "Recover.py"
+#: What the program prints when its points are loaded and its attack begins.
+BEGIN = "Finding Coarse Estimates"
+ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run: seconds of the attack alone, CPU seconds of the whole program, median error in scene units."""
+
+    name: str
+    seconds: float
+    cpu: float
+    median: float
+
+
+def load(name: str, count: int) -> l2p.Scene:
+    """``count`` points of a simulated scene (sim:KIND) or of a file."""
+    if name.startswith("sim:"):
+        return l2p.simulate(name.removeprefix("sim:"), points=count, seed=0)
+    scene = l2p.Scene.load(name)
+    if len(scene) < count:
+        raise l2p.InputError(f"got {len(scene)} points in {name}; expected at least --lines {count}")
+    return l2p.Scene(scene.xyz[np.random.default_rng(0).choice(len(scene), count, replace=False)])
+
+
+def run_reference(folder: Path, cloud: Path) -> Row:
+    """Run the authors' program and read its last median error; what it prints goes to stderr with the time."""
+    command = [
+        sys.executable, "-u", PROGRAM, "--input_type", "ply", "--input_ply_fname", str(cloud),
+        "--use_fraction_pts", "1.0", "--num_refine_iterations", str(ROUNDS),
+    ]  # fmt: skip
+    median, began, cpu_began = None, None, _children_cpu()
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stderr is not None
+    started = time.perf_counter()
+    # Its progress bars would fill the pipe of stderr and stop it.
+    with tempfile.TemporaryFile("w+") as noise:
+        drain = subprocess.Popen(["cat"], stdin=process.stderr, stdout=noise)
+        for line in process.stdout:
+            print(f"{time.perf_counter() - started:8.1f} s  {line.rstrip()}", file=sys.stderr, flush=True)
+            if line.startswith(BEGIN):
+                began = time.perf_counter()
+            if found := re.match(r"Median error : (\S+)", line):
+                median = float(found[1])
+        process.wait()
+        seconds = time.perf_counter() - (began or started)
+        drain.wait()
+        noise.seek(0)
+        if process.returncode != 0 or median is None:
+            raise SystemExit(f"{folder / PROGRAM} failed:\n{noise.read()[-2000:]}")
+    return Row("Line2Point, as published", seconds, _children_cpu() - cpu_began, median)
+
+
+def _children_cpu() -> float:
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def run_l2p(cloud: Path, threads: int | None) -> Row:
+    """The heuristic of this package as its command line runs it, with so many threads or as many as it takes."""
+    names = ("lines.npz", "truth.npz", "out.npz", "stats.json")
+    lines, truth, out, stats = (cloud.with_name(name) for name in names)
+    limit = [] if threads is None else ["--threads", str(threads)]
+    _command("lift", cloud, "-o", lines, "--truth", truth, "--seed", 0, "--force")
+    cpu_began = _children_cpu()
+    words = ["--method", "heuristic", "--rounds", ROUNDS, *limit, "--json", stats, "--force"]
+    _command("recover", lines, "-o", out, *words)
+    cpu = _children_cpu() - cpu_began
+    scores = l2p.evaluate(l2p.Recovery.load(out), l2p.Truth.load(truth).xyz)
+    name = "l2p heuristic, " + ("as it comes" if threads is None else f"--threads {threads}")
+    return Row(name, json.loads(stats.read_text())["seconds"], cpu, scores.median)
+
+
+def _command(*words: object) -> None:
+    subprocess.run([sys.executable, "-m", "l2p", *map(str, words)], check=True, stdout=subprocess.DEVNULL)
+
+
+def show(rows: list[Row], unit: float) -> None:
+    """The table, in Markdown."""
+    first = rows[0]
+    print("| program | seconds | times faster | CPU seconds | times less CPU | median error | in spacings |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for row in rows:
+        print(
+            f"| {row.name} | {row.seconds:.1f} | {first.seconds / row.seconds:.0f} | {row.cpu:.1f} | "
+            f"{first.cpu / row.cpu:.0f} | {row.median:.4f} | {row.median / unit:.3f} |"
+        )
+    print(
+        "\nSeconds count from the loaded points to the last estimate; CPU seconds are those of whole programs, imports"
+        "\nincluded, and depend less on what else the machine does."
+        "\nThe error of Line2Point includes one free vote for the truth a line: each line counts as its own neighbour,"
+        "\nand the origin of each line is the true point. l2p has neither, and cannot be told to."
+    )
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--reference", type=Path, metavar="PATH", help="folder of a clone of Line2Point")
+    parser.add_argument("--lines", type=int, default=5000, help="number of lines (default: %(default)s)")
+    parser.add_argument("--scene", default="sim:room", help="sim:KIND or a file that l2p reads (default: %(default)s)")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Both programs on one cloud, and the table."""
+    given = arguments()
+    if given.reference is None:
+        print("skipped: Line2Point has no licence and is not part of l2p; name a clone of it with --reference PATH")
+        return
+    if not (given.reference / PROGRAM).is_file():
+        raise SystemExit(f"{given.reference} has no {PROGRAM}; expected the folder of a clone of Line2Point")
+    scene = load(given.scene, given.lines)
+    with tempfile.TemporaryDirectory() as place:
+        cloud = Path(place) / "cloud.ply"
+        save_scene_ply(l2p.Scene(scene.xyz), cloud)
+        rows = [run_reference(given.reference, cloud)]
+        rows += [run_l2p(cloud, threads) for threads in (1, None)]
+    print(f"`python {' '.join([os.path.relpath(sys.argv[0]), *sys.argv[1:]])}`\n")
+    print(f"{given.lines} lines of {given.scene}, {ROUNDS} refinements, {os.cpu_count()} cores\n")
+    show(rows, spacing(scene.xyz))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,286 @@
+"""Draw the pictures of docs/how-it-works.md from one simulated room: python docs/figures.py"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from matplotlib.collections import LineCollection
+
+import l2p
+from l2p.attack import run
+from l2p.frame import Frame
+from l2p.geometry import Lines, closest_points
+from l2p.metrics import errors, risk_coverage, spacing
+from l2p.neighborhoods import Heuristic, Tomography
+from l2p.oracles import CandidateOracle, LeaveOneOut, Oracle
+from l2p.peak import PeakConfig, find_peak
+from l2p.pictures import Box
+from l2p.search import nearest_lines_to_lines, nearest_lines_to_points, nearest_points_to_lines
+from l2p.tomography import reconstruct
+
+IMAGES = Path(__file__).parent / "images"
+POINTS, SEED = 5000, 3
+#: Neighbours of the paper's coarse stage, indoors.
+K = 250
+GREY, BLUE, ORANGE, GREEN, RED = "#b8bec9", "#2563eb", "#ea7317", "#15803d", "#c81e3a"
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """A simulated room and its line cloud; ``inside``, ``points`` and ``unit``, a spacing, are in the working frame."""
+
+    scene: l2p.Scene
+    lines: l2p.LineCloud
+    truth: Float[np.ndarray, "lines 3"]
+    frame: Frame
+    inside: Lines
+    points: Float[torch.Tensor, "lines 3"]
+    unit: float
+
+    @classmethod
+    def make(cls) -> Room:
+        scene = l2p.simulate("room", points=POINTS, seed=SEED)
+        lines, index = l2p.lift_indexed(scene.xyz, seed=SEED)
+        frame, truth = Frame.of(lines), scene.xyz[index]
+        unit = spacing(scene.xyz) / frame.unit
+        return cls(scene, lines, truth, frame, frame.enter(lines), frame.enter_points(truth), unit)
+
+
+def save(figure: Any, name: str) -> None:
+    IMAGES.mkdir(exist_ok=True)
+    figure.savefig(IMAGES / f"{name}.png", dpi=110, facecolor="white")
+    plt.close(figure)
+    print(IMAGES / f"{name}.png")
+
+
+def segments(room: Room, half: float) -> Float[np.ndarray, "lines 2 3"]:
+    """Each line, ``half`` scene units to both sides of the place nearest to the middle of the room."""
+    middle = np.median(room.truth, axis=0)
+    beta = np.sum((middle - room.lines.origin) * room.lines.direction, axis=1)
+    ends = [room.lines.at(beta + side * half) for side in (-1, 1)]
+    return np.stack(ends, axis=1)
+
+
+def draw_lifting(room: Room) -> None:
+    """Points, points with their lines, lines: seen from above."""
+    figure, panels = plt.subplots(1, 3, figsize=(13, 4.6), constrained_layout=True)
+    some = np.random.default_rng(0).choice(len(room.truth), 500, replace=False)
+    ends = segments(room, 20.0)[some][:, :, :2]
+    titles = ("points: the map", "a random line through each", "the line cloud: which point of the line was it?")
+    box = Box.of_room(room.scene)
+    for panel, title in zip(panels, titles, strict=True):
+        panel.set(title=title, aspect="equal", xticks=[], yticks=[])
+        panel.set(xlim=(box.low[0] - 0.2, box.high[0] + 0.2), ylim=(box.low[1] - 0.2, box.high[1] + 0.2))
+    for panel in panels[1:]:
+        panel.add_collection(LineCollection(list(ends), colors=BLUE, linewidths=0.5, alpha=0.35))
+    for panel in panels[:2]:
+        panel.scatter(*room.truth[some, :2].T, s=6, c="black", zorder=3)
+    save(figure, "lifting")
+
+
+def typical_line(room: Room, neighbors: Int[torch.Tensor, "lines k"]) -> int:
+    """A line whose peak is right and of middling sharpness."""
+    votes = closest_points(room.inside, room.inside, neighbors)
+    peak = find_peak(votes.beta, votes.valid.float(), PeakConfig(rule="single"))
+    off = (room.inside.at(peak.beta) - room.points).norm(dim=1) / room.unit
+    right = torch.nonzero(off < 0.1).flatten()
+    return int(right[peak.statistic[right].argsort()[len(right) // 2]])
+
+
+def intervals(votes: Float[np.ndarray, " votes"]) -> list[tuple[float, float]]:
+    """x- and x+ of each step of the recursion: the main text's rule, in the open."""
+    found = []
+    while len(votes) > 5:
+        uniform = (votes - votes[0]) / (votes[-1] - votes[0])
+        step = np.arange(len(votes) + 1) / len(votes)
+        low = int(np.argmin(step[:-1] - uniform))
+        high = low + int(np.argmax((step[1:] - uniform)[low:]))
+        kuiper = (step[1:] - uniform)[high] - (step[:-1] - uniform)[low]
+        found.append((votes[low], votes[high]))
+        votes = votes[low : high + 1]
+        if kuiper < PeakConfig.threshold:
+            break
+    return found
+
+
+def draw_votes(room: Room) -> None:
+    """The nearest lines cross one line; where they do, they vote; the votes' distribution has a peak."""
+    neighbors = nearest_lines_to_lines(room.inside, K).index
+    row = typical_line(room, neighbors)
+    own = room.inside.rows(slice(row, row + 1))
+    vote = closest_points(own, room.inside, neighbors[row : row + 1]).beta[0]
+    order = vote.argsort()
+    trimmed = vote[order][5:-5].numpy() / room.unit
+    true = float((room.points[row] - own.foot[0]) @ own.direction[0]) / room.unit
+    steps = intervals(trimmed)
+    answer = float(find_peak(vote[None], None, PeakConfig(rule="single")).beta) / room.unit
+    figure, panels = plt.subplots(2, 2, figsize=(13, 8), constrained_layout=True)
+    _crossings(panels[0, 0], room, row, neighbors[row].long(), true)
+    reach = (true - 14, true + 14)
+    panels[0, 1].hist(trimmed, bins=np.arange(reach[0], reach[1], 0.5), color=BLUE, alpha=0.75)
+    panels[0, 1].set(xlim=reach, ylabel="votes in half a spacing")
+    panels[0, 1].set_title(f"{K} nearest lines vote: where each passes closest to the line")
+    _distribution(panels[1, 0], trimmed, steps[0], "step 1: all votes")
+    inner = trimmed[(trimmed >= steps[0][0]) & (trimmed <= steps[0][1])]
+    _distribution(panels[1, 1], inner, steps[1], "step 2: the same, between x− and x+ of step 1")
+    for panel in (panels[0, 1], panels[1, 1]):
+        panel.axvline(true, color=GREEN, lw=2, label="true point")
+        panel.axvline(answer, color=RED, ls="--", label=f"answer: the median after {len(steps)} steps")
+        panel.legend(loc="lower right" if panel is panels[1, 1] else "upper left", fontsize=8)
+    for panel in panels.flat:
+        panel.set_xlabel("position along the line, spacings")
+    save(figure, "votes")
+
+
+def _crossings(panel: Any, room: Room, row: int, others: Int[torch.Tensor, " k"], true: float) -> None:
+    """Side view of the line with the nearest others."""
+    own = room.inside.rows(slice(row, row + 1))
+    along = own.direction[0]
+    across = torch.linalg.cross(along, torch.tensor([0.0, 0.0, 1.0]))
+    across = across / across.norm()
+    near = room.inside.rows(others)
+    beta = closest_points(near, own, torch.zeros(len(others), 1, dtype=torch.int64)).beta[:, 0]
+    middle = near.at(beta) - own.foot
+    drawn = []
+    for side in (-1.5, 1.5):
+        end = middle + side * room.unit * near.direction
+        drawn.append(torch.stack([end @ along, end @ across], dim=1) / room.unit)
+    panel.add_collection(LineCollection(list(torch.stack(drawn, dim=1).numpy()), colors=GREY, linewidths=0.7))
+    panel.axhline(0, color=BLUE, lw=1.5)
+    place = (middle @ along / room.unit).numpy()
+    panel.plot(place, np.zeros(len(place)), "|", color=BLUE, ms=9, label="vote: the closest point")
+    panel.plot([true], [0], "o", color=GREEN, ms=9, label="true point")
+    panel.set(xlim=(true - 14, true + 14), ylim=(-2, 2), yticks=[])
+    panel.set_title("one line, and parts of the lines that pass it closest")
+    panel.legend(loc="upper left", fontsize=8)
+
+
+def _distribution(panel: Any, votes: Float[np.ndarray, " votes"], step: tuple[float, float], title: str) -> None:
+    """Empirical against uniform, and where they differ most."""
+    panel.step(votes, np.arange(1, len(votes) + 1) / len(votes), where="post", color=BLUE, label="votes, F")
+    panel.plot([votes[0], votes[-1]], [0, 1], color="black", lw=1, label="uniform, U")
+    for place, name in zip(step, ("x−", "x+"), strict=True):
+        panel.axvline(place, color=ORANGE, lw=1.5)
+        panel.annotate(name, (place, 0.03), color=ORANGE, fontsize=12, ha="right" if name == "x−" else "left")
+    panel.set(title=title, ylabel="share of the votes below", ylim=(0, 1.02))
+    panel.legend(loc="upper left", fontsize=8)
+
+
+def draw_neighborhoods(room: Room) -> None:
+    """N_ll and N_pl seen along the line, N_lp seen from the side."""
+    estimate = run(room.lines, Heuristic())
+    points = room.frame.enter_points(estimate.xyz)
+    right = errors(estimate.xyz, room.truth) / spacing(room.scene.xyz)
+    row = int(np.argsort(right)[len(right) // 5])
+    n_ll = nearest_lines_to_lines(room.inside, 25).index[row].long()
+    n_pl = nearest_points_to_lines(room.inside, points, 25).index[row].long()
+    n_lp = nearest_lines_to_points(points, room.inside, 25).index[row].long()
+    along = room.inside.direction[row]
+    first = torch.linalg.cross(along, torch.tensor([0.0, 0.0, 1.0]))
+    first = first / first.norm()
+    axes = torch.stack([first, torch.linalg.cross(along, first), along])
+    figure, panels = plt.subplots(1, 3, figsize=(14, 5.6), constrained_layout=True)
+    center = points[row]
+    seen = ((points - center) @ axes.T / room.unit).numpy()
+    flat = _flat_lines(room, center, axes) / room.unit
+    for panel, chosen in ((panels[0], n_ll), (panels[2], n_lp)):
+        view = flat[:, :, [0, 1]] if panel is panels[0] else flat[:, :, [2, 0]]
+        panel.add_collection(LineCollection(list(view[::25]), colors=GREY, linewidths=0.4, alpha=0.6))
+        panel.add_collection(LineCollection(list(view[chosen]), colors=BLUE, linewidths=0.9))
+    panels[1].scatter(*seen[:, :2].T, s=5, c=GREY)
+    panels[1].scatter(*seen[n_pl, :2].T, s=16, c=BLUE)
+    for panel in panels[:2]:
+        panel.plot([0], [0], "+", color=RED, ms=14, mew=2)
+    panels[2].axhline(0, color=RED, lw=1.5)
+    panels[2].plot([0], [0], "o", color=RED, ms=7)
+    titles = (
+        "N_ll: lines nearest to the line\n(seen along the line, the red cross)",
+        "N_pl: estimates nearest to the line\n(seen along the line)",
+        "N_lp: lines nearest to the estimate\n(seen from the side; red: the line and its estimate)",
+    )
+    for panel, title in zip(panels, titles, strict=True):
+        panel.set(title=title, aspect="equal", xticks=[], yticks=[], xlim=(-3, 3), ylim=(-3, 3))
+    save(figure, "neighborhoods")
+
+
+def _flat_lines(
+    room: Room, center: Float[torch.Tensor, "3"], axes: Float[torch.Tensor, "3 3"]
+) -> Float[np.ndarray, "lines 2 3"]:
+    """Segments around the places nearest to ``center``, in the axes of a view."""
+    apart = center - room.inside.foot
+    beta = (apart * room.inside.direction).sum(dim=1)
+    ends = [room.inside.at(beta + side * 100 * room.unit) - center for side in (-1, 1)]
+    return (torch.stack(ends, dim=1) @ axes.T).numpy()
+
+
+def draw_tomography(room: Room) -> None:
+    """The room from above: what the lines cover, what tomography makes of it, what is there."""
+    posterior = reconstruct(room.inside)
+    beta, weight = posterior.beta, posterior.probability
+    at = room.inside.foot[:, None] + beta[:, :, None] * room.inside.direction[:, None]
+    even = room.inside.foot[:, None] + torch.linspace(-6, 6, 1200)[None, :, None] * room.inside.direction[:, None]
+    box = Box.of_room(room.scene)
+    low, high = ((corner - room.frame.center) / room.frame.unit for corner in (box.low, box.high))
+    edges = [np.arange(a - 0.1, b + 0.1, 0.25 * room.unit) for a, b in zip(low[:2], high[:2], strict=True)]
+    figure, panels = plt.subplots(1, 3, figsize=(14, 5), constrained_layout=True)
+    clouds = (
+        ("lines: mass spread evenly", even.reshape(-1, 3).numpy(), None),
+        ("tomography: mass where the lines agree", at.reshape(-1, 3).numpy(), weight.flatten().numpy()),
+        ("the points", room.points.numpy(), None),
+    )
+    for panel, (title, points, mass) in zip(panels, clouds, strict=True):
+        image = np.histogram2d(points[:, 0], points[:, 1], bins=edges, weights=mass)[0]
+        top = np.percentile(image[image > 0], 99)
+        panel.imshow(np.sqrt(image.T / top), origin="lower", cmap="magma", vmin=0, vmax=1)
+        panel.set(title=title, xticks=[], yticks=[])
+    save(figure, "tomography")
+
+
+def draw_bounds(room: Room) -> None:
+    """Errors of the attacks and of what bounds them; what the confidence is worth."""
+    methods = {
+        "heuristic (paper)": (Heuristic(), BLUE, "-"),
+        "tomography": (Tomography(), ORANGE, "-"),
+        "leave-one-out": (LeaveOneOut(room.truth), GREEN, "--"),
+        "candidate oracle(50)": (CandidateOracle(room.truth, Tomography()), RED, ":"),
+        "oracle(50)": (Oracle(room.truth, 50), "black", ":"),
+    }
+    figure, (left, right) = plt.subplots(1, 2, figsize=(13, 4.8), constrained_layout=True)
+    for name, (method, color, style) in methods.items():
+        result = run(room.lines, method)
+        off = errors(result.xyz, room.truth) / spacing(room.scene.xyz)
+        share = (off <= 1).mean()
+        label = f"{name}: median {np.median(off):.2f}, {share:.0%} within 1"
+        left.plot(np.sort(off), np.arange(1, len(off) + 1) / len(off), color=color, ls=style, label=label)
+        if style == "-":
+            coverage, risk = risk_coverage(result.confidence, off <= 1)
+            right.plot(coverage, risk, color=color, label=name)
+            right.axhline(1 - share, color=color, lw=0.6, ls="--")
+    left.axvline(1, color=GREY, lw=1)
+    left.set(xscale="log", xlim=(0.01, 100), ylim=(0, 1), xlabel="error, spacings", ylabel="share of points below")
+    left.set_title("attacks (solid) and bounds (broken)")
+    left.legend(fontsize=8, loc="lower right")
+    right.set(xlim=(0, 1), ylim=(0, None), xlabel="share of points kept, most confident first")
+    right.set(ylabel="share of these more than 1 spacing off", title="confidence ranks the points")
+    right.legend(fontsize=9)
+    save(figure, "bounds")
+
+
+def main() -> None:
+    torch.set_num_threads(1)
+    room = Room.make()
+    for draw in (draw_lifting, draw_votes, draw_neighborhoods, draw_tomography, draw_bounds):
+        draw(room)
+
+
+if __name__ == "__main__":
+    main()
