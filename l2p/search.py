@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -59,10 +60,22 @@ def nearest_lines_to_lines(lines: Lines, k: int, *, tile: int = TILE, progress: 
 
 
 def nearest_points_to_lines(
-    lines: Lines, points: Float[Tensor, "lines 3"], k: int, *, tile: int = TILE, progress: Progress = NO_PROGRESS
+    lines: Lines,
+    points: Float[Tensor, "lines 3"],
+    k: int,
+    *,
+    scale: Float[Tensor, " lines"] | None = None,
+    tile: int = TILE,
+    progress: Progress = NO_PROGRESS,
 ) -> Nearest:
-    """N_pl: the k points nearest to each line; ``points[i]`` belongs to line i and is left out of its row."""
+    """N_pl: the k points nearest to each line; ``points[i]`` belongs to line i and is left out of its row.
+
+    With ``scale``, the distance to point j is counted in units of ``scale[j]``: then the dense places that a line
+    passes do not crowd out the sparse ones.
+    """
     left, right = _residual_factors(lines, points)
+    unit = torch.ones_like(points[:, 0]) if scale is None else scale
+    right = right / unit[:, None]
 
     def squared(rows: slice, columns: slice) -> Float[Tensor, "rows columns"]:
         return _sum_of_squares(left[:, rows], right[:, columns])
@@ -72,7 +85,8 @@ def nearest_points_to_lines(
     def distance(rows: slice, found: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k"]:
         shape = (*found.shape, 3)
         direction, moment = (part[rows][:, None].expand(shape) for part in lines)
-        return point_line_distance(points[found.clamp_min(0)], direction, moment)
+        near = found.clamp_min(0)
+        return point_line_distance(points[near], direction, moment) / unit[near]
 
     return _sorted(index, distance, tile)
 
@@ -95,6 +109,30 @@ def nearest_lines_to_points(
         return point_line_distance(own, others.direction.view(shape), others.moment.view(shape))
 
     return _sorted(index, distance, tile)
+
+
+def nearest_points_to_points(points: Float[Tensor, "lines 3"], k: int) -> Nearest:
+    """The k points nearest to each point.
+
+    Notes
+    -----
+    O(lines log lines) time by a k-d tree on the CPU.
+    """
+    from scipy.spatial import KDTree
+
+    count = len(points)
+    k = max(min(k, count - 1), 0)
+    place = points.cpu().double().numpy()
+    found, index = KDTree(place).query(place, k + 1, workers=torch.get_num_threads())
+    found, index = np.reshape(found, (count, k + 1)), np.reshape(index, (count, k + 1))
+    # Self is one of the k + 1, unless more points than that coincide: then the last one goes.
+    other = index != np.arange(count)[:, None]
+    other[other.all(axis=1), -1] = False
+    shape = (count, k)
+    return Nearest(
+        torch.from_numpy(index[other].reshape(shape)).to(points.device, torch.int32),
+        torch.from_numpy(found[other].reshape(shape)).to(points.device, points.dtype),
+    )
 
 
 def _residual_factors(

@@ -1,0 +1,171 @@
+"""What a line knows of its candidate neighbours: pairwise numbers that do not change when the scene is moved, turned
+or scaled, when lines are reordered, or when a line's origin slides or its direction flips.
+
+Lengths are divided by the local scale of the candidate, the distance of its estimate to the ``SCALE``-th estimate
+next to it, so that the dense middle of a scene and its far background look alike.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from l2p.geometry import PARALLEL, Lines
+from l2p.tomography import Posterior
+
+#: Neighbours of an estimate that give its local scale and its surface.
+SCALE = 16
+#: Numbers that each line hands to the lines around it in the next round.
+STATE = 8
+#: Names of the edge features, in order.
+EDGE = (
+    *("foot", "closest", "gap", "line_line", "point_line", "line_point", "point_point", "cosine"),
+    *("posterior", "own_posterior", "confidence", "log_scale", "log_scale_ratio"),
+    *("incidence", "planarity", "plane_cut", "foot_off_plane", "closest_off_plane", "own_off_plane"),
+)
+
+
+class Nodes(NamedTuple):
+    """What is known of every line before a round; ``scale``, ``normal`` and ``planarity`` describe its surroundings."""
+
+    beta: Float[Tensor, " lines"]
+    point: Float[Tensor, "lines 3"]
+    scale: Float[Tensor, " lines"]
+    normal: Float[Tensor, "lines 3"]
+    planarity: Float[Tensor, " lines"]
+    confidence: Float[Tensor, " lines"]
+    state: Float[Tensor, "lines state"]
+
+
+class Edges(NamedTuple):
+    """Candidates of some lines, sorted along the line: their votes, and features of each pair.
+
+    ``closest`` and ``foot`` are positions on the line, from its foot, in the working frame; ``width`` is the local
+    scale of each candidate; ``valid`` is False for padding.
+    """
+
+    closest: Float[Tensor, "lines k"]
+    foot: Float[Tensor, "lines k"]
+    width: Float[Tensor, "lines k"]
+    feature: Float[Tensor, "lines k edge"]
+    state: Float[Tensor, "lines k state"]
+    valid: Bool[Tensor, "lines k"]
+    index: Int[Tensor, "lines k"]
+
+
+def surroundings(
+    lines: Lines,
+    beta: Float[Tensor, " lines"],
+    confidence: Float[Tensor, " lines"],
+    state: Float[Tensor, "lines state"],
+) -> Nodes:
+    """Local scale and surface of the estimates, from the ``SCALE`` nearest of them; O(lines log lines)."""
+    from scipy.spatial import KDTree
+
+    point = lines.at(beta)
+    place = point.double().cpu().numpy()
+    k = min(SCALE + 1, len(place))
+    found = KDTree(place).query(place, k, workers=-1)
+    distance, index = (np.reshape(part, (len(place), k)) for part in found)  # SciPy drops the axis of k = 1
+    reach = torch.as_tensor(distance[:, -1], dtype=beta.dtype, device=beta.device)
+    # Coinciding estimates have no scale of their own; the scene's typical one stands in.
+    floor = 1e-3 * reach[reach > 0].median() if (reach > 0).any() else torch.ones(())
+    around = torch.as_tensor(index, device=beta.device)
+    apart, weight = point[around], confidence[around] + 0.05
+    weight = (weight / weight.sum(dim=1, keepdim=True))[:, :, None]
+    apart = apart - (weight * apart).sum(dim=1, keepdim=True)
+    spread = torch.einsum("nka,nkb->nab", (weight * apart).double(), apart.double())
+    value, vector = torch.linalg.eigh(spread)
+    planarity = ((value[:, 1] - value[:, 0]) / value[:, 2].clamp_min(1e-30)).to(beta.dtype)
+    return Nodes(beta, point, reach.clamp_min(floor), vector[:, :, 0].to(beta.dtype), planarity, confidence, state)
+
+
+def edges(
+    lines: Lines, nodes: Nodes, posterior: Posterior, rows: Int[Tensor, " rows"], candidates: Int[Tensor, "rows k"]
+) -> Edges:
+    """Votes and features of the candidates of some lines; -1 is padding."""
+    valid = candidates >= 0
+    index = candidates.clamp_min(0).long()
+    own = lines.rows(rows)
+    table = torch.cat(
+        [
+            *(lines.direction, lines.moment, nodes.point, nodes.normal),
+            *(nodes.scale[:, None], nodes.confidence[:, None], nodes.planarity[:, None], nodes.state),
+        ],
+        dim=1,
+    )
+    gathered = table[index.flatten()].view(*index.shape, -1)
+    direction, moment, point, normal, rest = gathered.split([3, 3, 3, 3, 3 + nodes.state.shape[1]], dim=2)
+    scale, confidence, planarity, state = rest[..., 0], rest[..., 1], rest[..., 2], rest[..., 3:]
+
+    d, o, here = own.direction[:, None], own.foot[:, None], nodes.point[rows][:, None]
+    beta = nodes.beta[rows][:, None]
+    cosine = (d * direction).sum(-1)
+    sine2 = (1 - cosine.square()).clamp_min(PARALLEL**2)
+    foot = (point * d).sum(-1)
+    closest = _closest(d, o, direction, moment, cosine, sine2)
+    # The flip of the direction is taken out: the side where the votes are skewed to is the positive one.
+    sign = _side(foot - beta, scale, valid)
+    at_foot, at_closest = o + foot[..., None] * d, o + closest[..., None] * d
+    slope = (normal * d).sum(-1)
+    cut = ((point - at_foot) * normal).sum(-1) / torch.where(slope.abs() < 0.05, 0.05 * slope.sign() + 1e-9, slope)
+    typical = nodes.scale.median()
+    feature = torch.stack(
+        [
+            sign * _compressed((foot - beta) / scale),
+            sign * _compressed((closest - beta) / scale),
+            _compressed((closest - foot).abs() / scale),
+            _compressed(
+                ((d * moment).sum(-1) + (own.moment[:, None] * direction).sum(-1)).abs() / sine2.sqrt() / scale
+            ),
+            _compressed((at_foot - point).norm(dim=-1) / scale),
+            _compressed((torch.linalg.cross(here.expand_as(direction), direction) - moment).norm(dim=-1) / scale),
+            _compressed((here - point).norm(dim=-1) / scale),
+            cosine.abs(),
+            _log_posterior(posterior, rows, foot, scale),
+            _log_posterior(posterior, rows, closest, scale),
+            confidence,
+            (scale / typical).log(),
+            (scale / nodes.scale[rows][:, None]).log(),
+            slope.abs(),
+            planarity,
+            sign * _compressed((foot + cut - beta) / scale),
+            _compressed(((at_foot - point) * normal).sum(-1).abs() / scale),
+            _compressed(((at_closest - point) * normal).sum(-1).abs() / scale),
+            _compressed(((here - point) * normal).sum(-1).abs() / scale),
+        ],
+        dim=-1,
+    ).masked_fill(~valid[..., None], 0)
+    return Edges(closest, foot, scale, feature, state, valid, candidates)
+
+
+def _closest(d: Tensor, o: Tensor, direction: Tensor, moment: Tensor, cosine: Tensor, sine2: Tensor) -> Tensor:
+    other_foot = torch.linalg.cross(direction, moment)
+    return ((other_foot * d).sum(-1) + cosine * (o * direction).sum(-1)) / sine2
+
+
+def _side(
+    apart: Float[Tensor, "rows k"], scale: Float[Tensor, "rows k"], valid: Bool[Tensor, "rows k"]
+) -> Float[Tensor, "rows 1"]:
+    skew = (apart.sign() * torch.log1p(apart.abs() / scale) * valid).sum(dim=1, keepdim=True)
+    return torch.where(skew < 0, -1.0, 1.0)
+
+
+def _compressed(value: Float[Tensor, "*any"]) -> Float[Tensor, "*any"]:
+    """Signed logarithm: near and far places both keep digits."""
+    return value.sign() * torch.log1p(value.abs())
+
+
+def _log_posterior(
+    posterior: Posterior, rows: Int[Tensor, " rows"], place: Float[Tensor, "rows k"], scale: Float[Tensor, "rows k"]
+) -> Float[Tensor, "rows k"]:
+    """Logarithm of the tomographic posterior mass within about one local scale of a place on the line."""
+    beta, order = posterior.beta[rows].sort(dim=1)
+    mass = torch.nn.functional.pad(posterior.probability[rows].gather(1, order).cumsum(dim=1), (1, 0))
+    low = torch.searchsorted(beta, (place - scale).contiguous())
+    high = torch.searchsorted(beta, (place + scale).contiguous())
+    return torch.log((mass.gather(1, high) - mass.gather(1, low)).clamp_min(0) + 1e-4)

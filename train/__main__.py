@@ -1,0 +1,33 @@
+"""``python -m train``: hydra composes the config, its types are checked, the rounds are trained."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from l2p.errors import InputError
+from train.config import CONFIGS, settings_of
+
+
+@hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name="train")
+def main(config: DictConfig) -> None:
+    """Train what the config asks for; 2 is the exit code of a user's error."""
+    command = shlex.join(["python", "-m", "train", *HydraConfig.get().overrides.task])
+    try:
+        settings = settings_of(config)
+        # Lightning takes seconds to load; a wrong config is told at once.
+        from train.program import train_all
+
+        print(train_all(settings, Path(HydraConfig.get().runtime.output_dir), command))
+    except (InputError, FileNotFoundError) as error:
+        print(f"train: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

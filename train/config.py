@@ -1,0 +1,197 @@
+"""The config of ``python -m train``: types of every key, and the one place where it turns into plain objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING, DictConfig, OmegaConf
+
+from l2p.checkpoint import configured
+from l2p.errors import InputError
+from l2p.learned import RoundConfig
+from l2p.network import NetworkConfig
+
+CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+
+
+def _keys_of(kind: type) -> type:
+    """The keys of a frozen dataclass of the package as a node that hydra may write to."""
+    hints = get_type_hints(kind)
+    made = []
+    for entry in fields(kind):
+        of = hints[entry.name]
+        if is_dataclass(of):
+            # The field's own default, such as a round's peak, not the default of its class.
+            values = {name.name: getattr(entry.default, name.name) for name in fields(of)}
+            keys = _keys_of(of)  # type: ignore[arg-type]
+            made.append((entry.name, keys, field(default_factory=lambda keys=keys, values=values: keys(**values))))
+        else:
+            made.append((entry.name, of, field(default=entry.default)))
+    return make_dataclass(f"{kind.__name__}Keys", made)
+
+
+NetworkKeys, RoundKeys = _keys_of(NetworkConfig), _keys_of(RoundConfig)
+
+
+@dataclass
+class TrainerKeys:
+    """What is handed to Lightning's trainer."""
+
+    accelerator: str = MISSING
+    devices: int = MISSING
+    num_nodes: int = MISSING
+    strategy: str = MISSING
+    precision: str = MISSING
+
+
+@dataclass
+class TrainConfig:
+    """The keys of ``configs/train.yaml``, where each is explained."""
+
+    name: str = MISSING
+    run: str = MISSING
+    cache: str = MISSING
+    seed: int = MISSING
+    scenes: list[str] = MISSING
+    simulated: int = MISSING
+    simulated_points: list[int] = MISSING
+    val: list[str] = MISSING
+    val_fractions: list[float] = MISSING
+    liftings: int = MISSING
+    min_lines: int = MISSING
+    max_lines: int = MISSING
+    total_lines: int | None = None
+    rounds: int = MISSING
+    steps: int = MISSING
+    minutes: float | None = None
+    lines_per_batch: int = MISSING
+    learning_rate: float = MISSING
+    weight_decay: float = MISSING
+    warmup: int = MISSING
+    averaging: float = MISSING
+    validate_every: int = MISSING
+    validate_lines: int = MISSING
+    patience: int | None = None
+    save_every: int = MISSING
+    threads: int | None = None
+    trainer: TrainerKeys = field(default_factory=TrainerKeys)
+    network: NetworkKeys = field(default_factory=NetworkKeys)  # type: ignore[valid-type]
+    round: RoundKeys = field(default_factory=RoundKeys)  # type: ignore[valid-type]
+
+
+ConfigStore.instance().store(name="train_schema", node=TrainConfig)
+
+
+@dataclass(frozen=True)
+class DataSettings:
+    """Which line clouds are trained and judged on."""
+
+    cache: Path
+    seed: int
+    scenes: tuple[str, ...]
+    simulated: int
+    simulated_points: tuple[int, int]
+    val: tuple[str, ...]
+    val_fractions: tuple[float, ...]
+    liftings: int
+    min_lines: int
+    max_lines: int
+    total_lines: int | None
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How one round's network is trained."""
+
+    seed: int
+    steps: int
+    minutes: float | None
+    lines_per_batch: int
+    learning_rate: float
+    weight_decay: float
+    warmup: int
+    averaging: float
+    validate_every: int
+    validate_lines: int
+    patience: int | None
+    save_every: int
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A checked config."""
+
+    rounds: int
+    threads: int | None
+    data: DataSettings
+    fit: FitSettings
+    network: NetworkConfig
+    round: RoundConfig
+    trainer: dict[str, Any]
+    resolved: dict[str, Any]
+
+
+#: Keys that may change between two starts of one run; all others make another model.
+CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "trainer")
+_AT_LEAST_ONE = (
+    *("liftings", "min_lines", "rounds", "steps", "lines_per_batch"),
+    *("validate_every", "validate_lines", "save_every"),
+)
+
+
+def settings_of(config: DictConfig) -> Settings:
+    """Check the composed config.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+    resolved: Any = OmegaConf.to_container(config, resolve=True)
+    _check(resolved)
+    try:
+        network, rounds = configured(NetworkConfig, resolved["network"]), configured(RoundConfig, resolved["round"])
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    data = _some(DataSettings, resolved)
+    data["cache"] = Path(data["cache"])
+    return Settings(
+        rounds=resolved["rounds"],
+        threads=resolved["threads"],
+        data=DataSettings(**data),
+        fit=FitSettings(**_some(FitSettings, resolved)),
+        network=network,
+        round=rounds,
+        trainer=resolved["trainer"],
+        resolved=resolved,
+    )
+
+
+def _some(kind: type, resolved: dict[str, Any]) -> dict[str, Any]:
+    values = {entry.name: resolved[entry.name] for entry in fields(kind)}
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+
+
+def _check(resolved: dict[str, Any]) -> None:
+    for key in _AT_LEAST_ONE:
+        if resolved[key] < 1:
+            raise InputError(f"got {key} {resolved[key]}; expected at least 1")
+    if not resolved["scenes"] and resolved["simulated"] < 1:
+        raise InputError("got no scenes and no simulated ones; expected scenes=[FOLDER] or simulated=12")
+    if not resolved["val"]:
+        raise InputError("got no val scenes; expected at least one, to calibrate the confidence")
+    if resolved["max_lines"] < resolved["min_lines"]:
+        raise InputError(f"got max_lines {resolved['max_lines']}; expected at least min_lines, {resolved['min_lines']}")
+    if resolved["total_lines"] is not None and resolved["total_lines"] < resolved["max_lines"]:
+        raise InputError(f"got total_lines {resolved['total_lines']}; expected at least max_lines or null")
+    points = resolved["simulated_points"]
+    if len(points) != 2 or not 1 <= points[0] <= points[1]:
+        raise InputError(f"got simulated_points {points}; expected [LEAST, MOST]")
+    for fraction in resolved["val_fractions"] or [0.0]:
+        if not 0 < fraction <= 1:
+            raise InputError(f"got val fraction {fraction}; expected numbers in (0, 1]")
+    if not 0 <= resolved["averaging"] < 1:
+        raise InputError(f"got averaging {resolved['averaging']}; expected a number in [0, 1)")

@@ -1,0 +1,59 @@
+"""What Lightning is given besides the module: files that are whole or not there, and a table that is only added to."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.fabric.plugins import TorchCheckpointIO
+from lightning.fabric.utilities.rank_zero import rank_zero_only
+from lightning.pytorch.loggers.logger import Logger
+
+from l2p.io.atomic import atomic_file
+
+
+class AtomicCheckpoints(TorchCheckpointIO):
+    """Checkpoints are written beside their place and renamed: a kill leaves the old one or the new one."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None) -> None:
+        """Write one."""
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        with atomic_file(path, overwrite=True) as file:
+            torch.save(checkpoint, file)
+
+
+class FigureTable(Logger):
+    """``figures.csv`` with columns step, figure, value.
+
+    A resumed run adds to it; where steps were done twice, after a kill, the last row of a step counts.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.file = folder / "figures.csv"
+
+    @property
+    def name(self) -> str:
+        """Nothing: the folder says it."""
+        return ""
+
+    @property
+    def version(self) -> str:
+        """Nothing: the folder says it."""
+        return ""
+
+    @rank_zero_only
+    def log_metrics(self, metrics: dict[str, float], step: int | None = None) -> None:
+        """Add a row for each figure."""
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        fresh = not self.file.exists()
+        with self.file.open("a", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            if fresh:
+                writer.writerow(["step", "figure", "value"])
+            writer.writerows([step, name, f"{value:.6g}"] for name, value in metrics.items() if name != "epoch")
+
+    def log_hyperparams(self, params: Any, *args: Any, **kwargs: Any) -> None:
+        """They are in config.yaml."""

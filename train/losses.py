@@ -1,0 +1,95 @@
+"""What a network is trained for: true neighbours, the place of the point, and knowing when it is found."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
+
+from l2p.features import Edges
+from l2p.learned import weighted_peak
+from l2p.network import Judgement
+from l2p.peak import PeakConfig
+
+#: A candidate at this many local radii is as likely a true neighbour as not; labels fall over a fifth of that.
+BORDER, SOFTNESS = 1.25, 0.25
+#: Logarithm of the density that a line has where no candidate votes: outliers must not dominate.
+BACKGROUND = -5.0
+#: Errors, in spacings, beyond which the probe of the states need not tell them apart.
+LEAST_ERROR, MOST_ERROR = 0.01, 100.0
+
+
+class Sample(NamedTuple):
+    """Some lines of one cloud with their truth; ``before`` is the estimate of the round before."""
+
+    edges: Edges
+    label: Float[Tensor, "lines k"]
+    true_beta: Float[Tensor, " lines"]
+    before: Float[Tensor, " lines"]
+    spacing: Float[Tensor, ""]
+
+
+class Losses(NamedTuple):
+    """The terms of the loss, whose sum is trained, and the error of the estimate, in spacings."""
+
+    affinity: Float[Tensor, ""]
+    position: Float[Tensor, ""]
+    sure: Float[Tensor, ""]
+    probe: Float[Tensor, ""]
+    error: Float[Tensor, " lines"]
+
+    @property
+    def total(self) -> Float[Tensor, ""]:
+        """The sum of the terms."""
+        return self.affinity + self.position + self.sure + self.probe
+
+
+def soft_labels(distance: Float[Tensor, "lines k"], radius: Float[Tensor, " lines"]) -> Float[Tensor, "lines k"]:
+    """Whether candidates are true neighbours: 1 near, 0 far, soft in between; ``radius`` is each line's local one."""
+    reach = radius[:, None]
+    return torch.sigmoid((BORDER * reach - distance) / (SOFTNESS * reach))
+
+
+def losses(
+    sample: Sample,
+    judgement: Judgement,
+    log_spread: Float[Tensor, "2"],
+    probe: Float[Tensor, " lines"],
+    peak: PeakConfig,
+) -> Losses:
+    """All terms; ``probe`` is what a linear layer reads from the states as the logarithm of the error."""
+    with torch.no_grad():
+        near = sample.edges
+        beta = weighted_peak(near.closest, near.foot, judgement, peak, sample.before)
+        error = (beta - sample.true_beta).abs() / sample.spacing
+        inside, size = (error <= 1).to(error.dtype), error.clamp(LEAST_ERROR, MOST_ERROR).log()
+    return Losses(
+        affinity=affinity_loss(judgement, sample),
+        position=position_loss(judgement, sample, log_spread),
+        sure=functional.binary_cross_entropy_with_logits(judgement.sure, inside),
+        probe=0.1 * functional.smooth_l1_loss(probe, size),
+        error=error,
+    )
+
+
+def affinity_loss(judgement: Judgement, sample: Sample) -> Float[Tensor, ""]:
+    """Cross entropy with the soft labels over the candidates that there are."""
+    valid = sample.edges.valid
+    entropy = functional.binary_cross_entropy_with_logits(
+        judgement.affinity.masked_fill(~valid, 0.0), sample.label, reduction="none"
+    )
+    return (entropy * valid).sum() / valid.sum().clamp_min(1)
+
+
+def position_loss(judgement: Judgement, sample: Sample, log_spread: Float[Tensor, "2"]) -> Float[Tensor, ""]:
+    """Minus the logarithm of the mixture of all votes at the true place, over a floor of outliers."""
+    near = sample.edges
+    vote = torch.stack([near.closest, near.foot], dim=2).flatten(1)
+    width = (near.width[..., None] * log_spread.exp()).flatten(1)
+    apart = (vote - sample.true_beta[:, None]) / width
+    density = -torch.log1p(apart.square()) - (width / sample.spacing).log()
+    mixture = torch.logsumexp(functional.log_softmax(judgement.vote.flatten(1), dim=1) + density, dim=1)
+    return -torch.logaddexp(mixture, torch.full_like(mixture, BACKGROUND)).mean()
