@@ -242,7 +242,7 @@ def draw_tomography(room: Room) -> None:
         top = np.percentile(image[image > 0], 99)
         panel.imshow(np.sqrt(image.T / top), origin="lower", cmap="magma", vmin=0, vmax=1)
         panel.set(title=title, xticks=[], yticks=[])
-    save(figure, "tomography")
+    save(figure, "density")
 
 
 def draw_bounds(room: Room) -> None:

@@ -21,7 +21,7 @@ from omegaconf.errors import OmegaConfBaseException
 from l2p.attack import run
 from l2p.errors import InputError
 from l2p.lines import LineCloud, finite_rows
-from l2p.neighborhoods import Heuristic, HeuristicConfig, Method
+from l2p.neighborhoods import Heuristic, HeuristicConfig, Method, TomographicConfig, Tomography
 from l2p.oracles import CandidateOracle, LeaveOneOut, Oracle
 from l2p.recovery import Recovery
 
@@ -77,14 +77,28 @@ class Peer:
 
 @dataclass(frozen=True)
 class HeuristicContender(Peer):
-    """The paper's attack; kind of scene and density are known to it."""
+    """The paper's attack; it knows kind of scene and density, unless a ``density`` stands in for the true one."""
 
     label: str = "heuristic"
     rounds: int = HeuristicConfig.rounds
+    density: float | None = None
 
     def build(self, trial: Trial) -> Method:
         """The heuristic with the paper's counts for the scene's kind and the fraction."""
-        return Heuristic(HeuristicConfig(PAPER_KIND[trial.kind], trial.fraction, self.rounds))
+        density = trial.fraction if self.density is None else self.density
+        return Heuristic(HeuristicConfig(PAPER_KIND[trial.kind], density, self.rounds))
+
+
+@dataclass(frozen=True)
+class TomographyContender(Peer):
+    """Expectation maximisation on a sparse grid, then the votes around its modes."""
+
+    label: str = "tomography"
+    rounds: int = TomographicConfig.rounds
+
+    def build(self, trial: Trial) -> Method:
+        """The method, the same for every trial."""
+        return Tomography(TomographicConfig(rounds=self.rounds))
 
 
 @dataclass(frozen=True)
@@ -176,6 +190,7 @@ class FolderContender:
 #: Every method that a config may name.
 CONTENDERS: dict[str, type[Any]] = {
     "heuristic": HeuristicContender,
+    "tomography": TomographyContender,
     "oracle": OracleContender,
     "candidate_oracle": CandidateOracleContender,
     "loo": LeaveOneOutContender,

@@ -22,8 +22,8 @@ def recover(
     method: str = DEFAULT_METHOD,
     *,
     rounds: int | None = None,
-    scene_kind: str = "indoor",
-    density: float = 1.0,
+    scene_kind: str | None = None,
+    density: float | None = None,
     device: str = "cpu",
     progress: Progress = NO_PROGRESS,
 ) -> Recovery:
@@ -37,8 +37,9 @@ def recover(
         sparse grid, then the votes around its modes (:mod:`l2p.tomography`).
     rounds : int, optional
         Rounds of refinement; the method's own number when left out.
-    scene_kind, density :
-        What the paper's table of neighbours asks for (:class:`l2p.neighborhoods.HeuristicConfig`).
+    scene_kind, density : optional
+        What the paper's table of neighbours asks for, with ``heuristic`` only
+        (:class:`l2p.neighborhoods.HeuristicConfig`).
     device : str
         A torch device.
     progress : Progress
@@ -52,26 +53,32 @@ def recover(
     Raises
     ------
     InputError
-        If the line cloud is empty or the method or the device is unknown.
+        If the line cloud is empty, the method or the device is unknown, or the method has no such setting.
 
     Examples
     --------
     >>> import numpy as np, l2p
-    >>> points = np.random.default_rng(0).normal(size=(200, 3))
+    >>> points = np.random.default_rng(1).normal(size=(200, 3))
     >>> l2p.recover(l2p.lift(points, seed=0), method="heuristic").confidence.shape
     (200,)
     """
     return run(lines, named_method(method, rounds, scene_kind, density), device=device, progress=progress, name=method)
 
 
-def named_method(name: str, rounds: int | None = None, scene_kind: str = "indoor", density: float = 1.0) -> Method:
-    """The attack of that name, ready to run."""
+def named_method(
+    name: str, rounds: int | None = None, scene_kind: str | None = None, density: float | None = None
+) -> Method:
+    """The attack of that name, ready to run; what is None is left to its configuration."""
     if name not in METHODS:
         raise InputError(f"got method {name!r}; expected one of {', '.join(METHODS)}")
-    chosen: dict[str, Any] = {} if rounds is None else {"rounds": rounds}
-    if name == "tomography":
-        return Tomography(TomographicConfig(**chosen))
-    return Heuristic(HeuristicConfig(scene_kind=scene_kind, density=density, **chosen))
+    given = {"rounds": rounds, "scene_kind": scene_kind, "density": density}
+    chosen: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    if name == "heuristic":
+        return Heuristic(HeuristicConfig(**chosen))
+    foreign = [key.replace("_", " ") for key in chosen if key != "rounds"]
+    if foreign:
+        raise InputError(f"got a {foreign[0]} for method {name!r}; expected it with method 'heuristic' only")
+    return Tomography(TomographicConfig(**chosen))
 
 
 def run(

@@ -103,14 +103,13 @@ def _add_recover(commands: Any) -> None:
     )
     recover.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help="the attack (default: %(default)s)")
     recover.add_argument(
-        "--scene-kind", choices=SCENE_KINDS, default="indoor", help="neighbour counts to use (default: %(default)s)"
+        "--scene-kind", choices=SCENE_KINDS, help="heuristic only: neighbour counts to use (default: indoor)"
     )
     recover.add_argument(
         "--density",
         type=float,
-        default=1.0,
         metavar="F",
-        help="share of the scene's points that the lines hold, in (0, 1], as far as known (default: %(default)s)",
+        help="heuristic only: share of the scene's points that the lines hold, in (0, 1] (default: 1)",
     )
     recover.add_argument("--rounds", type=int, metavar="R", help="rounds of refinement (default: the method's own)")
     _add_filters(recover)

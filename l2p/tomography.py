@@ -7,9 +7,9 @@ becomes the sum of what the lines spread (back projection). A point anywhere is 
 sensitivity is 1 everywhere and drops out; so does the length of a line inside a cell, which is the same for all
 samples of a line.
 
-Resolution follows the data: the grid is sparse and its cells are halved level by level along each line, keeping only
-the segments with the most posterior mass; the density of small cells that few lines support is shrunk to that of
-their ancestors (Polya tree). Time and memory are O(lines x segments), whatever the extent of the scene.
+Resolution follows the data: cells are halved level by level along each line, keeping only the segments with the most
+posterior mass (:mod:`l2p.octree`), and the density of small cells that few lines support is shrunk to that of their
+ancestors (Polya tree). Time and memory are O(lines x segments), whatever the extent of the scene.
 """
 
 from __future__ import annotations
@@ -23,22 +23,25 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from l2p.geometry import Lines
+from l2p.octree import Cells, children, interpolate, root, smooth, total
 from l2p.progress import NO_PROGRESS, Progress
 
-#: Line samples in one block of work (times about 40 bytes of temporaries).
-SAMPLES = 1 << 22
-#: Exchange between neighbours that turns the even spreading of a parent's mass into trilinear interpolation.
-TRILINEAR = 0.25
+#: Line samples in one block of work (times about 60 bytes of temporaries).
+SAMPLES = 1 << 20
+#: Mass of a cell that counts as none.
+EMPTY = 1e-12
+#: Logarithm of a density that stands for none.
+NOTHING = -27.6
 
 
 @dataclass(frozen=True)
 class TomographyConfig:
-    """Settings of the reconstruction.
+    """Settings of the reconstruction; defaults were chosen on training scenes (``docs/experiments.md``).
 
     Attributes
     ----------
     start : int
-        Cells along each side of the box at the first level, a power of two.
+        Cells along each side of the box at the first level.
     levels : int
         Most levels, each with cells of half the side.
     segments : int
@@ -48,21 +51,21 @@ class TomographyConfig:
     smoothing : float
         Share of a cell's mass that moves to each of its two neighbours along each axis after an update, below 1/3.
     shrinkage : float
-        Mass of the prior, a parent's density spread evenly, against that of the lines in the children.
+        Mass of the prior in each parent, against that of the lines in its children.
     quantile, margin : float
         The half side of the box is this quantile of the lines' distances from their centre, times the margin.
     crowd : float
         Stop refining when cells hold less mass than this, averaged over the mass.
     """
 
-    start: int = 32
-    levels: int = 8
-    segments: int = 48
+    start: int = 16
+    levels: int = 9
+    segments: int = 32
     iterations: int = 4
     smoothing: float = 0.2
-    shrinkage: float = 1.0
+    shrinkage: float = 0.7
     quantile: float = 0.97
-    margin: float = 1.0
+    margin: float = 2.0
     crowd: float = 0.15
 
 
@@ -79,32 +82,43 @@ class Posterior(NamedTuple):
     step: Float[Tensor, " lines"]
 
 
-class _Cells(NamedTuple):
-    """The cells of one resolution that some line still crosses.
+class Density(NamedTuple):
+    """The reconstructed density: cells from the coarsest to the finest, and the mass in each of them.
 
-    ``key`` is (i side + j) side + k, sorted. ``adjacent`` holds, for each axis, the rows of the pairs of cells that
-    share a face; ``parent`` the row of each cell in the next coarser level (empty at the coarsest).
+    ``axes`` turn the working frame into that of the grid, ``half`` is half the side of the box.
     """
 
-    side: int
-    key: Int[Tensor, " cells"]
-    adjacent: list[tuple[Int[Tensor, " pairs"], Int[Tensor, " pairs"]]]
-    parent: Int[Tensor, " cells"]
+    axes: Float[Tensor, "3 3"]
+    half: float
+    cells: list[Cells]
+    mass: list[Float[Tensor, " _"]]
+
+    def log_at(self, points: Float[Tensor, "points 3"]) -> Float[Tensor, " points"]:
+        """Logarithm of the mass per unit volume at points of the working frame, from the finest cell around each."""
+        answer = points.new_full((len(points),), NOTHING)
+        scaled = (points @ self.axes + self.half) / (2 * self.half)
+        inside = ((scaled >= 0) & (scaled < 1)).all(dim=1)
+        row = torch.zeros(len(points), dtype=torch.int32, device=points.device)
+        for cells, mass in zip(self.cells, self.mass, strict=True):
+            place = (scaled * cells.side).floor().clamp(0, cells.side - 1).int()
+            row = cells.find(place.T, row)
+            volume = (2 * self.half / cells.side) ** 3
+            value = torch.log(mass[row.clamp_min(0)] / volume).clamp_min(NOTHING)
+            answer = torch.where(inside & (row >= 0), value, answer)
+        return answer
 
 
 class _Level(NamedTuple):
-    """One resolution: its cells and all their ancestors, finest first, and each line's samples in the finest.
+    """One resolution: its cells below all their ancestors, coarsest first, and each line's samples in the finest.
 
-    ``cell`` is the row of each sample's cell, the number of cells for a sample outside the box.
+    ``shape`` is the prior's share of each cell in its parent, ``cell`` the row of each sample's cell, the number of
+    cells for a sample outside the box.
     """
 
-    cells: list[_Cells]
+    cells: list[Cells]
+    shape: list[Float[Tensor, " _"]]
     cell: Int[Tensor, "lines m"]
     beta: Float[Tensor, "lines m"]
-
-    @property
-    def side(self) -> int:
-        return self.cells[0].side
 
 
 def reconstruct(lines: Lines, config: TomographyConfig | None = None, progress: Progress = NO_PROGRESS) -> Posterior:
@@ -115,35 +129,37 @@ def reconstruct(lines: Lines, config: TomographyConfig | None = None, progress: 
     lines : Lines
         In the working frame (centred; the unit does not matter).
     """
+    return tomogram(lines, config, progress)[0]
+
+
+def tomogram(
+    lines: Lines, config: TomographyConfig | None = None, progress: Progress = NO_PROGRESS
+) -> tuple[Posterior, Density]:
+    """The posterior of each line's point and the density that it follows from."""
     config = config or TomographyConfig()
-    lines = _upright(lines)
-    distance = lines.moment.norm(dim=1)
-    half = float(_quantile(distance, config.quantile)) * config.margin
-    half = half if half > 0 else 1.0
-    beta = _first_samples(lines, half, config.start)
-    level: _Level | None = None
-    density = None
+    axes = _own_axes(lines)
+    lines = Lines(lines.direction @ axes, lines.moment @ axes)
+    half = _half_side(lines, config)
+    level = _first_level(lines, half, config.start)
+    density = level.beta.new_ones(config.start**3)
     with progress.task("tomography", total=config.levels * config.iterations) as advance:
         for depth in range(config.levels):
-            side = config.start << depth
-            before, level = level, _level(lines, half, side, beta, depth)
-            density = _inherited(level, before, density)
+            if depth > 0:
+                level = _refined(lines, half, level, density, config.segments)
+                density = density.index_select(0, level.cells[-1].parent) * level.shape[-1]
             for _ in range(config.iterations):
                 density = _update(level, density, config)
                 advance(1)
-            if depth == config.levels - 1 or _crowd(density) < config.crowd:
+            if _crowd(density) < config.crowd:
                 break
-            beta = _split(lines, half, side, level, density, config.segments)
-    assert level is not None and density is not None
-    probability = _posterior(level, density, slice(0, len(level.cell)))
-    step = (2 * half / level.side) / lines.direction.abs().amax(dim=1)
-    volume = (2 * half / level.side) ** 3
-    log_density = torch.log(_padded(density)[level.cell] / volume + 1e-12)
-    return Posterior(level.beta, probability, log_density, step)
+    mass = [density]
+    for coarse, fine in zip(level.cells[-2::-1], level.cells[:0:-1], strict=True):
+        mass.insert(0, total(mass[0], fine, coarse))
+    return _answer(lines, half, level, density), Density(axes, half, level.cells, mass)
 
 
-def _upright(lines: Lines) -> Lines:
-    """The lines in axes of their own, so that the grid turns with the scene.
+def _own_axes(lines: Lines) -> Float[Tensor, "3 3"]:
+    """Axes of the lines' own, as columns, so that the grid turns with the scene.
 
     Principal axes of the feet, far ones damped; each points to where the feet are skewed. The positions along the
     lines are the same in both frames.
@@ -155,104 +171,83 @@ def _upright(lines: Lines) -> Lines:
     axes = axes * torch.where(skew < 0, -1.0, 1.0)
     # A mirror image of the lines would have another moment; keep the axes right-handed.
     axes[:, 2] *= torch.linalg.det(axes).sign()
-    axes = axes.to(lines.direction.dtype)
-    return Lines(lines.direction @ axes, lines.moment @ axes)
+    return axes.to(lines.direction.dtype)
 
 
-def _quantile(values: Float[Tensor, " lines"], share: float) -> Float[Tensor, ""]:
+def _half_side(lines: Lines, config: TomographyConfig) -> float:
     # torch.quantile refuses more than 2^24 values.
-    rank = min(len(values) - 1, int(share * len(values)))
-    return values.sort().values[rank]
+    distance = lines.moment.norm(dim=1).sort().values
+    half = float(distance[min(len(distance) - 1, int(config.quantile * len(distance)))]) * config.margin
+    return half if half > 0 else 1.0
 
 
-def _first_samples(lines: Lines, half: float, side: int) -> Float[Tensor, "lines m"]:
-    """Where each line crosses the middle planes of the slabs of cells along its dominant axis."""
+def _first_level(lines: Lines, half: float, side: int) -> _Level:
+    """All cells of the box; samples where a line crosses the middle planes of the slabs along its dominant axis."""
     axis = lines.direction.abs().argmax(dim=1, keepdim=True)
     plane = (torch.arange(side, device=axis.device) + 0.5) * (2 * half / side) - half
-    return (plane - lines.foot.gather(1, axis)) / lines.direction.gather(1, axis)
+    beta = (plane - lines.foot.gather(1, axis)) / lines.direction.gather(1, axis)
+    cell = torch.empty_like(beta, dtype=torch.int32)
+    for rows in _blocks(*beta.shape):
+        place = _places(lines.rows(rows), half, side, beta[rows])
+        inside = ((place >= 0) & (place < side)).all(dim=0)
+        i, j, k = place.clamp(0, side - 1)
+        cell[rows] = ((i * side + j) * side + k).masked_fill(~inside, side**3).int()
+    return _Level([root(side, beta.device)], [beta.new_ones(0)], cell, beta)
 
 
-def _keys(lines: Lines, half: float, side: int, beta: Float[Tensor, "lines m"]) -> Int[Tensor, "lines m"]:
-    """The cell of each sample as one integer, (i side + j) side + k; -1 outside the box."""
-    key = torch.zeros_like(beta, dtype=torch.int64)
-    inside = torch.ones_like(beta, dtype=torch.bool)
+def _refined(lines: Lines, half: float, level: _Level, density: Float[Tensor, " cells"], segments: int) -> _Level:
+    """The most probable segments of each line, each cut in two, and the halves of the cells that they cross."""
+    keep = min(segments, level.cell.shape[1])
+    above = level.cells[-1]
+    quarter = (half / above.side / 2) / lines.direction.abs().amax(dim=1, keepdim=True)
+    beta = level.beta.new_empty(len(level.beta), 2 * keep)
+    code = torch.empty_like(beta, dtype=torch.int32)
+    for rows in _blocks(*level.cell.shape):
+        # In the order along the line, whatever the order of equals.
+        best = torch.topk(_posterior(level, density, rows), keep, dim=1, sorted=False).indices.sort(dim=1).values
+        middle = level.beta[rows].gather(1, best)
+        beta[rows] = torch.stack([middle - quarter[rows], middle + quarter[rows]], dim=2).flatten(1)
+        parent = level.cell[rows].gather(1, best).repeat_interleave(2, dim=1)
+        place = _places(lines.rows(rows), half, 2 * above.side, beta[rows])
+        code[rows] = above.octants(parent.flatten(), place.flatten(1)).view(parent.shape)
+    cells, row = children(above, code, SAMPLES)
+    inherited = density.index_select(0, cells.parent)
+    shape = interpolate(inherited / 8, cells) / inherited.clamp_min(EMPTY)
+    return _Level([*level.cells[:-1], above.without_neighbors(), cells], [*level.shape, shape], row, beta)
+
+
+def _places(lines: Lines, half: float, side: int, beta: Float[Tensor, "lines m"]) -> Int[Tensor, "3 lines m"]:
+    """The cell indices of samples along the three axes."""
     foot = lines.foot
-    for axis in range(3):
-        place = foot[:, axis, None] + beta * lines.direction[:, axis, None]
-        index = ((place + half) * (side / (2 * half))).floor()
-        inside &= (index >= 0) & (index < side)
-        key = key * side + index.nan_to_num(0, 0, 0).clamp(0, side - 1).long()
-    return key.masked_fill(~inside, -1)
-
-
-def _level(lines: Lines, half: float, side: int, beta: Float[Tensor, "lines m"], depth: int) -> _Level:
-    found = [torch.empty(0, dtype=torch.int64, device=beta.device)]
-    for rows in _blocks(*beta.shape):
-        found.append(_keys(lines.rows(rows), half, side, beta[rows]).unique())
-    key = torch.cat(found).unique()
-    key = key[key >= 0]
-    cell = torch.empty(beta.shape, dtype=torch.int32, device=beta.device)
-    for rows in _blocks(*beta.shape):
-        own = _keys(lines.rows(rows), half, side, beta[rows])
-        cell[rows] = torch.searchsorted(key, own).masked_fill(own < 0, len(key)).int()
-    return _Level(_pyramid(key, side, depth), cell, beta)
-
-
-def _pyramid(key: Int[Tensor, " cells"], side: int, depth: int) -> list[_Cells]:
-    """The cells and, level by level, their ancestors."""
-    levels = []
-    for _ in range(depth):
-        above, parent = _parent(key, side).unique(return_inverse=True)
-        levels.append(_Cells(side, key, _adjacent(key, side), parent))
-        key, side = above, side // 2
-    return [*levels, _Cells(side, key, _adjacent(key, side), key[:0])]
-
-
-def _parent(key: Int[Tensor, " cells"], side: int) -> Int[Tensor, " cells"]:
-    i, j, k = key // (side * side), key // side % side, key % side
-    return (i // 2 * (side // 2) + j // 2) * (side // 2) + k // 2
-
-
-def _adjacent(key: Int[Tensor, " cells"], side: int) -> list[tuple[Int[Tensor, " pairs"], Int[Tensor, " pairs"]]]:
-    """Along each axis, the pairs of rows of cells that share a face."""
-    pairs = []
-    for stride in (side * side, side, 1):
-        last = key // stride % side == side - 1
-        wanted = key + stride
-        row = torch.searchsorted(key, wanted).clamp_max(max(len(key) - 1, 0))
-        here = torch.nonzero((key[row] == wanted) & ~last).flatten() if len(key) else row
-        pairs.append((here, row[here]))
-    return pairs
+    place = [foot[:, axis, None] + beta * lines.direction[:, axis, None] for axis in range(3)]
+    # Far samples of the first level must not overflow.
+    return torch.stack([((x + half) * (side / (2 * half))).floor().clamp(-2, side + 1).int() for x in place])
 
 
 def _update(level: _Level, density: Float[Tensor, " cells"], config: TomographyConfig) -> Float[Tensor, " cells"]:
     """One EM update: forward projection, back projection, then the prior."""
-    mass = torch.zeros(len(density) + 1, device=density.device)
+    mass = smooth(_back_projection(level, density), level.cells[-1], config.smoothing)
+    return _shrink(mass, level.cells, level.shape, config.shrinkage)
+
+
+def _back_projection(level: _Level, density: Float[Tensor, " cells"]) -> Float[Tensor, " cells"]:
+    """The sum of what the lines spread: MLEM with a sensitivity of 1."""
+    mass = density.new_zeros(len(density) + 1)
     for rows in _blocks(*level.cell.shape):
         mass.index_add_(0, level.cell[rows].flatten(), _posterior(level, density, rows).flatten())
-    return _shrink(_smooth(mass[:-1], level.cells[0], config.smoothing), level.cells, config.shrinkage)
+    return mass[:-1]
 
 
 def _posterior(level: _Level, density: Float[Tensor, " cells"], rows: slice) -> Float[Tensor, "rows m"]:
     """Probability of each sample of the lines: the density there over the line's forward projection."""
-    along = _padded(density)[level.cell[rows]]
+    along = _along(level, density, rows)
     projection = along.sum(dim=1, keepdim=True)
     return along / projection.clamp_min(torch.finfo(along.dtype).tiny)
 
 
-def _inherited(
-    level: _Level, before: _Level | None, density: Float[Tensor, " parents"] | None
-) -> Float[Tensor, " cells"]:
-    """The density to start a level with: that of the level before, interpolated; even for the first level."""
-    cells = level.cells[0]
-    if before is None or density is None:
-        return torch.ones(len(cells.key), device=level.beta.device)
-    coarse = before.cells[0].key
-    parent = _parent(cells.key, cells.side)
-    row = torch.searchsorted(coarse, parent).clamp_max(len(coarse) - 1)
-    # A half segment may lie in a cell whose parent no sample of the level before fell into.
-    known = coarse[row] == parent
-    return _interpolate(torch.where(known, density[row], density.mean()) / 8, cells)
+def _along(level: _Level, density: Float[Tensor, " cells"], rows: slice) -> Float[Tensor, "rows m"]:
+    cell = level.cell[rows]
+    return _padded(density).index_select(0, cell.flatten()).view(cell.shape)
 
 
 def _padded(density: Float[Tensor, " cells"]) -> Float[Tensor, " cells_and_outside"]:
@@ -260,41 +255,19 @@ def _padded(density: Float[Tensor, " cells"]) -> Float[Tensor, " cells_and_outsi
     return torch.cat([density, density.new_zeros(1)])
 
 
-def _smooth(mass: Float[Tensor, " cells"], cells: _Cells, share: float) -> Float[Tensor, " cells"]:
-    """A kernel of weights (share, 1 - 2 share, share) along each axis.
-
-    What goes to cells that no line crosses is gone: mass that stands alone is worth less than mass among its like.
-    """
-    for here, there in cells.adjacent:
-        blurred = (1 - 2 * share) * mass
-        blurred[here] += share * mass[there]
-        blurred[there] += share * mass[here]
-        mass = blurred
-    return mass
-
-
-def _interpolate(above: Float[Tensor, " cells"], cells: _Cells) -> Float[Tensor, " cells"]:
-    """Parents' densities, given evenly spread over their children, made trilinear; the sum stays."""
-    for here, there in cells.adjacent:
-        flow = TRILINEAR * (above[there] - above[here])
-        above = above.clone()
-        above[here] += flow
-        above[there] -= flow
-    return above
-
-
-def _shrink(mass: Float[Tensor, " cells"], cells: list[_Cells], strength: float) -> Float[Tensor, " cells"]:
+def _shrink(
+    mass: Float[Tensor, " cells"], cells: list[Cells], shape: list[Float[Tensor, " _"]], strength: float
+) -> Float[Tensor, " cells"]:
     """Polya tree: a parent's own shrunk mass, divided among its children by their mass plus that of the prior.
 
-    The prior has mass ``strength`` in each parent and the shape of the parents' density, interpolated.
+    The prior has mass ``strength`` in each parent, and the shape of the density of the level before, interpolated.
     """
     if len(cells) == 1 or strength == 0:
         return mass
-    parent = cells[0].parent
-    total = mass.new_zeros(len(cells[1].key)).index_add_(0, parent, mass)
-    above = _shrink(total, cells[1:], strength)[parent]
-    shape = _interpolate(above, cells[0]) / (8 * above).clamp_min(torch.finfo(mass.dtype).tiny)
-    return above * (mass + strength * shape) / (total[parent] + strength)
+    parent = cells[-1].parent
+    parents = total(mass, cells[-1], cells[-2])
+    gain = _shrink(parents, cells[:-1], shape[:-1], strength) / (parents + strength)
+    return gain.index_select(0, parent) * (mass + strength * shape[-1])
 
 
 def _crowd(density: Float[Tensor, " cells"]) -> float:
@@ -302,18 +275,15 @@ def _crowd(density: Float[Tensor, " cells"]) -> float:
     return float(density.square().sum() / density.sum().clamp_min(torch.finfo(density.dtype).tiny))
 
 
-def _split(
-    lines: Lines, half: float, side: int, level: _Level, density: Float[Tensor, " cells"], segments: int
-) -> Float[Tensor, "lines m"]:
-    """The most probable segments of each line, each cut in two."""
-    keep = min(segments, level.cell.shape[1])
-    beta = level.beta.new_empty(len(level.beta), 2 * keep)
-    step = (2 * half / side) / lines.direction.abs().amax(dim=1, keepdim=True)
+def _answer(lines: Lines, half: float, level: _Level, density: Float[Tensor, " cells"]) -> Posterior:
+    """The posterior at the finest level."""
+    width = 2 * half / level.cells[-1].side
+    log_density = torch.empty_like(level.beta)
+    probability = torch.empty_like(level.beta)
     for rows in _blocks(*level.cell.shape):
-        best = torch.topk(_posterior(level, density, rows), keep, dim=1, sorted=False).indices.sort(dim=1).values
-        middle = level.beta[rows].gather(1, best)
-        beta[rows] = torch.stack([middle - step[rows] / 4, middle + step[rows] / 4], dim=2).flatten(1)
-    return beta
+        probability[rows] = _posterior(level, density, rows)
+        log_density[rows] = torch.log(_along(level, density, rows) / width**3).clamp_min(NOTHING)
+    return Posterior(level.beta, probability, log_density, width / lines.direction.abs().amax(dim=1))
 
 
 def _blocks(lines: int, samples: int) -> Iterator[slice]:
@@ -323,9 +293,37 @@ def _blocks(lines: int, samples: int) -> Iterator[slice]:
 
 
 def modes(posterior: Posterior) -> tuple[Float[Tensor, " lines"], Float[Tensor, " lines"]]:
-    """The most probable position on each line and its probability."""
-    probability, best = posterior.probability.max(dim=1)
-    return posterior.beta.gather(1, best[:, None])[:, 0].masked_fill(probability == 0, 0), probability
+    """The most probable position on each line and its probability.
+
+    Samples in one cell are equally probable: the middle of those nearest the foot is taken, whichever way a line runs.
+    """
+    probability = posterior.probability.amax(dim=1)
+    equal = posterior.probability >= (1 - 1e-5) * probability[:, None]
+    nearest = posterior.beta.abs().masked_fill(~equal, torch.inf).argmin(dim=1, keepdim=True)
+    apart = (posterior.beta - posterior.beta.gather(1, nearest)).abs()
+    equal &= apart <= 1.5 * posterior.step[:, None]
+    beta = (posterior.beta * equal).sum(dim=1) / equal.sum(dim=1)
+    return beta.masked_fill(probability == 0, 0), probability
+
+
+class Modes(NamedTuple):
+    """Places on each line, the most probable first, and the probability around each; 0 where there are no more."""
+
+    beta: Float[Tensor, "lines k"]
+    mass: Float[Tensor, "lines k"]
+
+
+def several_modes(posterior: Posterior, k: int, apart: float) -> Modes:
+    """The k most probable places that are farther than ``apart`` from each other, each with the mass that near."""
+    left = posterior.probability.clone()
+    beta, mass = [], []
+    for _ in range(k):
+        found = posterior.beta.gather(1, left.argmax(dim=1, keepdim=True))
+        near = (posterior.beta - found).abs() <= apart
+        beta.append(found[:, 0])
+        mass.append((left * near).sum(dim=1))
+        left = left.masked_fill(near, 0)
+    return Modes(torch.stack(beta, dim=1), torch.stack(mass, dim=1))
 
 
 def mass_within(

@@ -25,12 +25,13 @@ LAZY = HEAVY - {"torch"}
 ORDER = [
     *("errors", "methods", "progress"),
     *("lines", "geometry", "frame", "recovery", "scene"),
-    *("lifting", "search", "peak", "tomography", "neighborhoods", "attack"),
+    *("lifting", "search", "peak", "octree", "tomography", "neighborhoods"),
+    *("features", "network", "learned", "checkpoint", "attack"),
     *("metrics", "oracles", "simulator", "clean"),
     *("io", "tables", "pictures", "demo", "commands", "cli", "__main__"),
 ]
 #: Calls like ``LineCloud.load`` that open a file: the only imports against the order, inside functions.
-DOORS = {("lines", "io"), ("recovery", "io"), ("scene", "io")}
+DOORS = {("lines", "io"), ("recovery", "io"), ("scene", "io"), ("checkpoint", "io")}
 #: What knows the truth: an attack must not reach it.
 TRUTH = {"scene", "metrics", "oracles", "simulator"}
 
@@ -109,7 +110,7 @@ assert not code, code
 def test_public_names_are_found_also_after_their_modules_are_loaded():
     names = " ".join(l2p.__all__)
     code = f"""
-import l2p, l2p.commands, l2p.recover, l2p.lift, types
+import l2p, l2p.attack, l2p.commands, l2p.lifting, types
 for name in "{names}".split():
     assert not isinstance(getattr(l2p, name), types.ModuleType), name
 """
