@@ -196,6 +196,8 @@ def test_colours_and_settings_come_along(truth):
         ({"method": "heuristic", "rounds": -1}, "got -1 rounds; expected 0"),
         ({"method": "heuristic", "density": 0.0}, r"got density 0.0; expected a number in \(0, 1\]"),
         ({"method": "heuristic", "scene_kind": "sea"}, "got scene kind 'sea'; expected one of indoor, outdoor"),
+        ({"method": "tomography", "scene_kind": "indoor"}, "got a scene kind for method 'tomography'; expected"),
+        ({"method": "tomography", "density": 0.5}, "got a density for method 'tomography'; expected"),
     ],
 )
 def test_what_cannot_be_run_is_refused(truth, direction, arguments, message):
