@@ -247,7 +247,9 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path, lifted):
     """A real SIGINT, while the attack works."""
     program = textwrap.dedent(
         """
-        import importlib, sys, time
+        import importlib, signal, sys, time
+        # Jobs in the background of a shell start with SIGINT ignored.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         def slow(*words, **flags):
             print("working", flush=True)
             time.sleep(60)

@@ -166,8 +166,10 @@ def test_a_file_that_may_not_grow_is_one_sentence_and_leaves_nothing(tmp_path):
 def test_sigint_leaves_nothing_behind(tmp_path):
     program = textwrap.dedent(
         """
-        import sys, time
+        import signal, sys, time
         from l2p.io.atomic import atomic_file
+        # Jobs in the background of a shell start with SIGINT ignored.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         with atomic_file(sys.argv[1]) as file:
             file.write(b"half")
             print("writing", flush=True)
