@@ -130,16 +130,16 @@ class Learned:
         """Tomography, then a round for each network."""
         posterior = reconstruct(lines, TomographyConfig(), progress)
         nodes = first_nodes(lines, posterior)
-        candidates, affinity = find_candidates(lines, nodes, self.config), None
+        if not self.networks:
+            candidates = find_candidates(lines, nodes, self.config, progress)
+            return Estimate(nodes.beta, nodes.confidence, candidates, (candidates >= 0).to(nodes.beta.dtype))
+        candidates, affinity = None, None
         for network in self.networks:
             nodes, candidates, affinity = judge_round(lines, nodes, posterior, network, self.config, progress)
-        if affinity is None:
-            affinity = (candidates >= 0).to(nodes.beta.dtype)
+        assert candidates is not None and affinity is not None
         return Estimate(nodes.beta, self._calibrated(nodes.confidence), candidates, affinity)
 
     def _calibrated(self, confidence: Float[Tensor, " lines"]) -> Float[Tensor, " lines"]:
-        if not self.networks:
-            return confidence
         slope, offset = self.calibration[len(self.networks) - 1]
         return torch.sigmoid(slope * torch.logit(confidence, eps=1e-6) + offset)
 

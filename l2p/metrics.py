@@ -7,13 +7,14 @@ lifted: figures at different densities then share one unit.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from l2p.errors import InputError
 from l2p.lines import finite_rows
+from l2p.point_neighbors import nearest_neighbors
 from l2p.recovery import Recovery
 
 #: Thresholds of the shares, in spacings.
@@ -22,13 +23,6 @@ SPACINGS = (0.25, 0.5, 1.0, 2.0, 5.0)
 CENTIMETRES = (1.0, 2.5, 5.0, 10.0, 25.0, 50.0)
 _NEIGHBOR = 50
 _BINS = 15
-
-
-class NearestPoints(NamedTuple):
-    """True neighbours of each point, nearest first, self left out."""
-
-    index: Int[np.ndarray, "points k"]
-    distance: Float[np.ndarray, "points k"]
 
 
 @dataclass(frozen=True)
@@ -91,21 +85,6 @@ class NeighborScores:
     def as_dict(self) -> dict[str, Any]:
         """Plain values for a JSON file."""
         return asdict(self)
-
-
-def nearest_neighbors(points: Float[np.ndarray, "points 3"], k: int) -> NearestPoints:
-    """The k nearest other points of each point; points - 1 columns where k is larger."""
-    from scipy.spatial import KDTree
-
-    k = max(0, min(k, len(points) - 1))
-    if k == 0:
-        return NearestPoints(np.zeros((len(points), 0), dtype=np.int64), np.zeros((len(points), 0)))
-    distance, index = map(np.asarray, KDTree(points).query(points, k + 1, workers=-1))
-    # Self is not always first: points that coincide with others come in any order.
-    own = index == np.arange(len(points))[:, None]
-    own[:, -1] |= ~own.any(axis=1)
-    keep = ~own
-    return NearestPoints(index[keep].reshape(-1, k).astype(np.int64), distance[keep].reshape(-1, k))
 
 
 def spacing(points: Float[np.ndarray, "points 3"]) -> float:

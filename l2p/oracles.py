@@ -17,8 +17,8 @@ from l2p.errors import InputError
 from l2p.frame import Frame
 from l2p.geometry import Lines, feet
 from l2p.lines import finite_rows
-from l2p.metrics import nearest_neighbors
 from l2p.neighborhoods import Estimate, Method, member, vote
+from l2p.point_neighbors import nearest_neighbors
 from l2p.progress import NO_PROGRESS, Progress
 from l2p.search import nearest_points_to_lines
 

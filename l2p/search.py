@@ -14,12 +14,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from l2p.geometry import PARALLEL, Lines, line_line_distance, point_line_distance
+from l2p.point_neighbors import nearest_neighbors
 from l2p.progress import NO_PROGRESS, Progress
 
 #: Numbers in one tile of distances: 8 MB in single precision, so that a tile and its temporaries stay near the cache.
@@ -118,20 +118,10 @@ def nearest_points_to_points(points: Float[Tensor, "lines 3"], k: int) -> Neares
     -----
     O(lines log lines) time by a k-d tree on the CPU.
     """
-    from scipy.spatial import KDTree
-
-    count = len(points)
-    k = max(min(k, count - 1), 0)
-    place = points.cpu().double().numpy()
-    found, index = KDTree(place).query(place, k + 1, workers=torch.get_num_threads())
-    found, index = np.reshape(found, (count, k + 1)), np.reshape(index, (count, k + 1))
-    # Self is one of the k + 1, unless more points than that coincide: then the last one goes.
-    other = index != np.arange(count)[:, None]
-    other[other.all(axis=1), -1] = False
-    shape = (count, k)
+    near = nearest_neighbors(points.cpu().double().numpy(), k, workers=torch.get_num_threads())
     return Nearest(
-        torch.from_numpy(index[other].reshape(shape)).to(points.device, torch.int32),
-        torch.from_numpy(found[other].reshape(shape)).to(points.device, points.dtype),
+        torch.from_numpy(near.index).to(points.device, torch.int32),
+        torch.from_numpy(near.distance).to(points.device, points.dtype),
     )
 
 

@@ -11,11 +11,11 @@ from l2p.metrics import (
     calibration_error,
     errors,
     evaluate,
-    nearest_neighbors,
     neighbor_scores,
     risk_coverage,
     spacing,
 )
+from l2p.point_neighbors import nearest_neighbors
 from l2p.recovery import Recovery
 
 

@@ -9,9 +9,10 @@ from l2p.attack import run
 from l2p.errors import InputError
 from l2p.lifting import lift_indexed
 from l2p.lines import LineCloud
-from l2p.metrics import errors, nearest_neighbors, spacing
+from l2p.metrics import errors, spacing
 from l2p.neighborhoods import Heuristic, Method
 from l2p.oracles import CandidateOracle, LeaveOneOut, Oracle
+from l2p.point_neighbors import nearest_neighbors
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.io.atomic import atomic_file
 from l2p.lifting import lift_indexed
-from l2p.metrics import nearest_neighbors
+from l2p.point_neighbors import nearest_neighbors
 from l2p.scene import Scene
 from l2p.simulator import simulate
 from l2p.tomography import Posterior, TomographyConfig, reconstruct
