@@ -1,13 +1,16 @@
-"""The checkpoint: one safetensors file with the networks of all rounds, how they are run, and how they came about.
+"""The checkpoint: one safetensors file with the network, how its rounds are run, and how it came about.
 
-Tensors are named ``round0.NAME``; everything else is JSON in the file's metadata. Nothing in it is ever executed.
+The tensors are the network's, by name; everything else is JSON in the file's metadata. Nothing in it is ever
+executed.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from importlib.resources import files
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -16,12 +19,14 @@ import torch
 from torch import Tensor
 
 from l2p.errors import InputError
-from l2p.learned import Learned, RoundConfig
-from l2p.network import LineTransformer, NetworkConfig
+from l2p.learned import Learned, LearnedConfig
+from l2p.network import RADII, LineTransformer, NetworkConfig
 
 #: Number of the file's layout; a reader refuses those that it does not know.
 FORMAT = 1
 _FORMAT_KEY = "l2p_format"
+#: Hexadecimal digits of a digest: enough to tell checkpoints apart.
+_DIGITS = 12
 
 Config = TypeVar("Config")
 
@@ -32,19 +37,66 @@ class Checkpoint:
 
     Attributes
     ----------
-    networks : sequence of LineTransformer
-        One a round.
-    config : RoundConfig
-    calibration : sequence of (float, float)
-        For each round a and b of the probability sigmoid(a sure + b) of lying within 1 spacing.
+    network : LineTransformer
+    config : LearnedConfig
+    calibration : sequence of sequences of (float, float)
+        For each round and radius a and b of the probability sigmoid(a sure + b) of lying within it.
     facts : dict
         How it was trained: plain values.
     """
 
-    networks: Sequence[LineTransformer]
-    config: RoundConfig
-    calibration: Sequence[tuple[float, float]]
+    network: LineTransformer
+    config: LearnedConfig
+    calibration: Sequence[Sequence[tuple[float, float]]]
     facts: dict[str, Any] = field(default_factory=dict)
+
+
+class LoadedLearned(Learned):
+    """The learned attack with the weights of a file, which its settings name.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    checkpoint : Checkpoint
+        What it holds.
+    config : LearnedConfig
+        How the rounds are run: those of the checkpoint, or fewer.
+    density : float
+        See :class:`l2p.learned.Learned`.
+    """
+
+    def __init__(
+        self, path: str | PathLike[str], checkpoint: Checkpoint, config: LearnedConfig, density: float
+    ) -> None:
+        super().__init__(checkpoint.network, config, checkpoint.calibration, density)
+        self.source = {"checkpoint": Path(path).name, "digest": digest(path)}
+
+    def settings(self) -> dict[str, Any]:
+        """Those of the attack; the file's name, without its folder, and its digest."""
+        return {**super().settings(), **self.source}
+
+
+def shipped() -> Path:
+    """The checkpoint that is installed with the package.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the installation lacks it.
+    """
+    path = Path(str(files("l2p") / "weights" / "learned.safetensors"))
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} is missing from this installation; install l2p again, give a checkpoint of your own "
+            "(--checkpoint FILE), or choose another method"
+        )
+    return path
+
+
+def digest(path: str | PathLike[str]) -> str:
+    """The first 12 hexadecimal digits of the file's SHA-256."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()[:_DIGITS]
 
 
 def save(path: str | PathLike[str], checkpoint: Checkpoint, *, overwrite: bool = False) -> None:
@@ -53,34 +105,47 @@ def save(path: str | PathLike[str], checkpoint: Checkpoint, *, overwrite: bool =
 
     from l2p.io.atomic import atomic_file
 
-    tensors = {
-        f"round{number}.{name}": value.detach().cpu().contiguous()
-        for number, network in enumerate(checkpoint.networks)
-        for name, value in network.state_dict().items()
-    }
+    tensors = {name: value.detach().cpu().contiguous() for name, value in checkpoint.network.state_dict().items()}
     metadata = {
         _FORMAT_KEY: str(FORMAT),
-        "networks": json.dumps([asdict(network.config) for network in checkpoint.networks]),
-        "rounds": json.dumps(asdict(checkpoint.config)),
-        "calibration": json.dumps([list(pair) for pair in checkpoint.calibration]),
+        "network": json.dumps(asdict(checkpoint.network.config)),
+        "learned": json.dumps(asdict(checkpoint.config)),
+        "radii": json.dumps(list(RADII)),
+        "calibration": json.dumps([[list(pair) for pair in part] for part in checkpoint.calibration]),
         "facts": json.dumps(checkpoint.facts, ensure_ascii=False),
     }
     with atomic_file(path, overwrite=overwrite) as file:
         file.write(encoded(tensors, metadata))
 
 
-def load(path: str | PathLike[str]) -> Learned:
+def load(path: str | PathLike[str], *, rounds: int | None = None, density: float = 1.0) -> Learned:
     """The attack of a checkpoint file.
+
+    Parameters
+    ----------
+    path : path
+    rounds : int, optional
+        Fewer rounds than it was trained for.
+    density : float
+        Share of the map's points that the line cloud holds, in (0, 1] (:class:`l2p.learned.Learned`).
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     InputError
-        If it is no checkpoint of l2p, is damaged, or was written by a newer version.
+        If it is no checkpoint of l2p, is damaged, was written by a newer version, or knows fewer rounds, or if the
+        density is out of range.
     """
+    if not 0 < density <= 1:
+        raise InputError(f"got density {density}; expected a number in (0, 1]")
     checkpoint = read(path)
-    return Learned(checkpoint.networks, checkpoint.config, checkpoint.calibration)
+    config = checkpoint.config
+    if rounds is not None:
+        if not 0 <= rounds <= config.rounds:
+            raise InputError(f"got {rounds} rounds; expected 0 to {config.rounds}, those that {path} was trained for")
+        config = replace(config, rounds=rounds)
+    return LoadedLearned(path, checkpoint, config, density)
 
 
 def read(path: str | PathLike[str]) -> Checkpoint:
@@ -89,15 +154,20 @@ def read(path: str | PathLike[str]) -> Checkpoint:
     metadata, tensors = _opened(path)
     _check_format(path, metadata)
     try:
-        sizes = [configured(NetworkConfig, values) for values in json.loads(metadata["networks"])]
-        config = configured(RoundConfig, json.loads(metadata["rounds"]))
-        calibration = [(float(a), float(b)) for a, b in json.loads(metadata["calibration"])]
-        facts = json.loads(metadata["facts"])
-    except (KeyError, TypeError, ValueError) as error:
+        size = configured(NetworkConfig, json.loads(metadata["network"]))
+        config = configured(LearnedConfig, json.loads(metadata["learned"]))
+        calibration = [[(float(a), float(b)) for a, b in part] for part in json.loads(metadata["calibration"])]
+        radii = tuple(json.loads(metadata["radii"]))
+        facts = dict(json.loads(metadata["facts"]))
+    except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} has a damaged header ({error}); download or train the checkpoint again") from error
-    if not sizes or len(calibration) != len(sizes):
-        raise InputError(f"{path} has {len(sizes)} networks and {len(calibration)} calibrations; expected one a round")
-    return Checkpoint(_networks(path, sizes, tensors), config, calibration, facts)
+    if radii != RADII:
+        raise InputError(f"{path} knows how sure it is within {radii} spacings; expected {RADII}; train it again")
+    if len(calibration) != config.rounds or any(len(part) != len(RADII) for part in calibration):
+        raise InputError(
+            f"{path} has {len(calibration)} calibrations for {config.rounds} rounds; expected one a round and radius"
+        )
+    return Checkpoint(_network(path, size, tensors), config, calibration, facts)
 
 
 def configured(kind: type[Config], values: dict[str, Any]) -> Config:
@@ -134,13 +204,12 @@ def _check_format(path: Path, metadata: dict[str, str]) -> None:
         raise InputError(f"{path} has format {written}, this version of l2p reads format {FORMAT}; {mend}")
 
 
-def _networks(path: Path, sizes: Sequence[NetworkConfig], tensors: dict[str, Tensor]) -> list[LineTransformer]:
-    networks = [LineTransformer(size) for size in sizes]
-    expected = {
-        f"round{number}.{name}": tuple(value.shape)
-        for number, network in enumerate(networks)
-        for name, value in network.state_dict().items()
-    }
+def _network(path: Path, size: NetworkConfig, tensors: dict[str, Tensor]) -> LineTransformer:
+    try:
+        network = LineTransformer(size)
+    except (TypeError, ValueError, RuntimeError, ArithmeticError) as error:
+        raise InputError(f"{path} has sizes that no network has ({error}); it is damaged") from error
+    expected = {name: tuple(value.shape) for name, value in network.state_dict().items()}
     if set(expected) != set(tensors):
         name = min(set(expected) ^ set(tensors))
         raise InputError(f"{path} {'lacks' if name in expected else 'has an unknown'} tensor {name}; it is damaged")
@@ -151,8 +220,5 @@ def _networks(path: Path, sizes: Sequence[NetworkConfig], tensors: dict[str, Ten
             )
         if not bool(value.isfinite().all()):
             raise InputError(f"{path} has weights that are NaN or infinite in {name}; it is damaged")
-    for number, network in enumerate(networks):
-        prefix = f"round{number}."
-        own = {name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)}
-        network.load_state_dict(own, strict=True)
-    return networks
+    network.load_state_dict(tensors, strict=True)
+    return network

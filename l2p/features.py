@@ -21,38 +21,54 @@ from l2p.tomography import Posterior
 SCALE = 16
 #: Numbers that each line hands to the lines around it in the next round.
 STATE = 8
+#: Where a candidate says that the point is: the closest point to its line, the foot of its estimate, and where the line
+#: cuts the surface around its estimate.
+VOTES = ("closest", "foot", "cut")
 #: Names of the edge features, in order.
 EDGE = (
     *("foot", "closest", "gap", "line_line", "point_line", "line_point", "point_point", "cosine"),
-    *("posterior", "own_posterior", "confidence", "log_scale", "log_scale_ratio"),
-    *("incidence", "planarity", "plane_cut", "foot_off_plane", "closest_off_plane", "own_off_plane"),
+    *("posterior_at_foot", "posterior_at_closest", "confidence", "own_confidence", "crowd"),
+    *("log_scale", "log_scale_ratio", "log_line_line", "log_point_line"),
+    *("incidence", "planarity", "cut", "foot_off_plane", "closest_off_plane", "own_off_plane"),
 )
+#: A line nearer to parallel with a surface than this (cosine to the normal) is taken to cut it at this slope.
+_GRAZING = 0.05
+#: The cut counts as no farther from the foot than this many local scales.
+_FARTHEST_CUT = 3.0
 
 
 class Nodes(NamedTuple):
-    """What is known of every line before a round; ``scale``, ``normal`` and ``planarity`` describe its surroundings."""
+    """What is known of every line before a round.
+
+    ``scale``, ``normal``, ``planarity`` and ``crowd`` (mean confidence) describe the estimates around a line's own.
+    """
 
     beta: Float[Tensor, " lines"]
     point: Float[Tensor, "lines 3"]
     scale: Float[Tensor, " lines"]
     normal: Float[Tensor, "lines 3"]
     planarity: Float[Tensor, " lines"]
+    crowd: Float[Tensor, " lines"]
     confidence: Float[Tensor, " lines"]
     state: Float[Tensor, "lines state"]
 
 
 class Edges(NamedTuple):
-    """Candidates of some lines, sorted along the line: their votes, and features of each pair.
+    """Candidates of some lines: their votes, and features of each pair.
 
-    ``closest`` and ``foot`` are positions on the line, from its foot, in the working frame; ``width`` is the local
-    scale of each candidate; ``valid`` is False for padding.
+    ``vote`` holds positions on the line, one of each kind of ``VOTES``, counted from the line's estimate; ``gap`` is
+    the distance of the candidate's estimate from the line, ``width`` its local scale, ``confidence`` its own. Lengths
+    are in the working frame. ``side`` is 1 or -1, whichever way along the line the features count as positive.
+    ``valid`` is False for padding, ``index`` the candidate.
     """
 
-    closest: Float[Tensor, "lines k"]
-    foot: Float[Tensor, "lines k"]
+    vote: Float[Tensor, "lines k votes"]
+    gap: Float[Tensor, "lines k"]
     width: Float[Tensor, "lines k"]
+    confidence: Float[Tensor, "lines k"]
     feature: Float[Tensor, "lines k edge"]
     state: Float[Tensor, "lines k state"]
+    side: Float[Tensor, "lines 1"]
     valid: Bool[Tensor, "lines k"]
     index: Int[Tensor, "lines k"]
 
@@ -69,19 +85,29 @@ def surroundings(
     point = lines.at(beta)
     place = point.double().cpu().numpy()
     k = min(SCALE + 1, len(place))
-    found = KDTree(place).query(place, k, workers=-1)
+    found = KDTree(place).query(place, k, workers=torch.get_num_threads())
     distance, index = (np.reshape(part, (len(place), k)) for part in found)  # SciPy drops the axis of k = 1
     reach = torch.as_tensor(distance[:, -1], dtype=beta.dtype, device=beta.device)
     # Coinciding estimates have no scale of their own; the scene's typical one stands in.
     floor = 1e-3 * reach[reach > 0].median() if (reach > 0).any() else torch.ones(())
     around = torch.as_tensor(index, device=beta.device)
-    apart, weight = point[around], confidence[around] + 0.05
+    near = confidence[around]
+    apart, weight = point[around], near + 0.05
     weight = (weight / weight.sum(dim=1, keepdim=True))[:, :, None]
     apart = apart - (weight * apart).sum(dim=1, keepdim=True)
     spread = torch.einsum("nka,nkb->nab", (weight * apart).double(), apart.double())
     value, vector = torch.linalg.eigh(spread)
     planarity = ((value[:, 1] - value[:, 0]) / value[:, 2].clamp_min(1e-30)).to(beta.dtype)
-    return Nodes(beta, point, reach.clamp_min(floor), vector[:, :, 0].to(beta.dtype), planarity, confidence, state)
+    return Nodes(
+        beta=beta,
+        point=point,
+        scale=reach.clamp_min(floor),
+        normal=vector[:, :, 0].to(beta.dtype),
+        planarity=planarity,
+        crowd=near.mean(dim=1),
+        confidence=confidence,
+        state=state,
+    )
 
 
 def edges(
@@ -91,16 +117,12 @@ def edges(
     valid = candidates >= 0
     index = candidates.clamp_min(0).long()
     own = lines.rows(rows)
-    table = torch.cat(
-        [
-            *(lines.direction, lines.moment, nodes.point, nodes.normal),
-            *(nodes.scale[:, None], nodes.confidence[:, None], nodes.planarity[:, None], nodes.state),
-        ],
-        dim=1,
-    )
+    # One gather for all columns; the numbers of a candidate lie side by side.
+    alone = torch.stack([nodes.scale, nodes.confidence, nodes.planarity, nodes.crowd], dim=1)
+    table = torch.cat([lines.direction, lines.moment, nodes.point, nodes.normal, alone, nodes.state], dim=1)
     gathered = table[index.flatten()].view(*index.shape, -1)
-    direction, moment, point, normal, rest = gathered.split([3, 3, 3, 3, 3 + nodes.state.shape[1]], dim=2)
-    scale, confidence, planarity, state = rest[..., 0], rest[..., 1], rest[..., 2], rest[..., 3:]
+    direction, moment, point, normal, alone, state = gathered.split([3, 3, 3, 3, 4, nodes.state.shape[1]], dim=2)
+    scale, confidence, planarity, crowd = alone.unbind(2)
 
     d, o, here = own.direction[:, None], own.foot[:, None], nodes.point[rows][:, None]
     beta = nodes.beta[rows][:, None]
@@ -108,29 +130,35 @@ def edges(
     sine2 = (1 - cosine.square()).clamp_min(PARALLEL**2)
     foot = (point * d).sum(-1)
     closest = _closest(d, o, direction, moment, cosine, sine2)
-    # The flip of the direction is taken out: the side where the votes are skewed to is the positive one.
-    sign = _side(foot - beta, scale, valid)
     at_foot, at_closest = o + foot[..., None] * d, o + closest[..., None] * d
     slope = (normal * d).sum(-1)
-    cut = ((point - at_foot) * normal).sum(-1) / torch.where(slope.abs() < 0.05, 0.05 * slope.sign() + 1e-9, slope)
+    slope = torch.where(slope.abs() < _GRAZING, torch.where(slope < 0, -_GRAZING, _GRAZING), slope)
+    cut = ((point - at_foot) * normal).sum(-1) / slope
+    line_line = ((d * moment).sum(-1) + (own.moment[:, None] * direction).sum(-1)).abs() / sine2.sqrt()
+    gap = (at_foot - point).norm(dim=-1)
+    line_point = (torch.linalg.cross(here.expand_as(direction), direction) - moment).norm(dim=-1)
+    # The flip of the direction is taken out: the side where the feet are skewed to is the positive one.
+    sign = _side(foot - beta, scale, valid)
     typical = nodes.scale.median()
     feature = torch.stack(
         [
             sign * _compressed((foot - beta) / scale),
             sign * _compressed((closest - beta) / scale),
             _compressed((closest - foot).abs() / scale),
-            _compressed(
-                ((d * moment).sum(-1) + (own.moment[:, None] * direction).sum(-1)).abs() / sine2.sqrt() / scale
-            ),
-            _compressed((at_foot - point).norm(dim=-1) / scale),
-            _compressed((torch.linalg.cross(here.expand_as(direction), direction) - moment).norm(dim=-1) / scale),
+            _compressed(line_line / scale),
+            _compressed(gap / scale),
+            _compressed(line_point / scale),
             _compressed((here - point).norm(dim=-1) / scale),
             cosine.abs(),
             _log_posterior(posterior, rows, foot, scale),
             _log_posterior(posterior, rows, closest, scale),
             confidence,
+            nodes.confidence[rows][:, None].expand_as(confidence),
+            crowd,
             (scale / typical).log(),
             (scale / nodes.scale[rows][:, None]).log(),
+            (line_line / typical + 1e-3).log(),
+            (gap / typical + 1e-3).log(),
             slope.abs(),
             planarity,
             sign * _compressed((foot + cut - beta) / scale),
@@ -140,7 +168,9 @@ def edges(
         ],
         dim=-1,
     ).masked_fill(~valid[..., None], 0)
-    return Edges(closest, foot, scale, feature, state, valid, candidates)
+    cut = torch.maximum(torch.minimum(cut, _FARTHEST_CUT * scale), -_FARTHEST_CUT * scale)
+    vote = torch.stack([closest, foot, foot + cut], dim=2) - beta[..., None]
+    return Edges(vote, gap, scale, confidence, feature, state, sign, valid, candidates)
 
 
 def _closest(d: Tensor, o: Tensor, direction: Tensor, moment: Tensor, cosine: Tensor, sine2: Tensor) -> Tensor:

@@ -1,11 +1,13 @@
 """The learned attack: tomography first, then rounds of candidates, affinities and weighted peaks.
 
-Each round looks at the lines' candidates around the estimates of the round before, lets a network judge them
-(:mod:`l2p.network`), and takes the peak of their votes, closest points and feet, each with its weight.
+Each round looks at the lines' candidates around the estimates of the round before, lets the network judge them
+(:mod:`l2p.network`), and takes the peak of their votes, each with its weight. All rounds share one network: it was
+trained on the estimates of all of them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
@@ -18,19 +20,26 @@ from l2p.features import STATE, Nodes, edges, surroundings
 from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.neighborhoods import Estimate
-from l2p.network import Judgement, LineTransformer
+from l2p.network import RADII, Judgement, LineTransformer
 from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
-from l2p.search import nearest_points_to_lines
+from l2p.search import nearest_points_to_lines, nearest_points_to_points
 from l2p.tomography import Posterior, TomographyConfig, mass_within, modes, reconstruct
+
+#: Of the radii, the one that the lines around are told the confidence of.
+_TOLD = RADII.index(1.0)
+#: Neighbour whose median distance is the spacing (:func:`l2p.metrics.spacing`).
+_SPACING = 50
 
 
 @dataclass(frozen=True)
-class RoundConfig:
-    """How a round runs around its network.
+class LearnedConfig:
+    """How the rounds run around the network.
 
     Attributes
     ----------
+    rounds : int
+        Times that the network judges all lines.
     candidates : int
         Candidates of each line: the estimates nearest to it, in units of the square root of their local scale, so
         that neither the dense nor the sparse places that it passes take all.
@@ -40,17 +49,20 @@ class RoundConfig:
         The weighted votes are not trimmed: the weights have done it.
     """
 
-    candidates: int = 96
+    rounds: int = 4
+    candidates: int = 64
     batch: int = 64
     peak: PeakConfig = PeakConfig(threshold=0.5, trim=0)
 
 
 class Round(NamedTuple):
-    """What a round finds: the nodes of the next one, and each line's candidates with their affinities."""
+    """What a round finds: the nodes of the next one, each line's candidates with their affinities, and how sure it is
+    of each estimate (logits, see :class:`l2p.network.Judgement`)."""
 
     nodes: Nodes
     candidates: Int[Tensor, "lines k"]
     affinity: Float[Tensor, "lines k"]
+    sure: Float[Tensor, "lines radii"]
 
 
 def first_nodes(lines: Lines, posterior: Posterior) -> Nodes:
@@ -62,7 +74,7 @@ def first_nodes(lines: Lines, posterior: Posterior) -> Nodes:
 
 
 def find_candidates(
-    lines: Lines, nodes: Nodes, config: RoundConfig, progress: Progress = NO_PROGRESS
+    lines: Lines, nodes: Nodes, config: LearnedConfig, progress: Progress = NO_PROGRESS
 ) -> Int[Tensor, "lines k"]:
     """The candidates of each line, -1 for none."""
     near = nearest_points_to_lines(lines, nodes.point, config.candidates, scale=nodes.scale.sqrt(), progress=progress)
@@ -74,79 +86,116 @@ def judge_round(
     nodes: Nodes,
     posterior: Posterior,
     network: LineTransformer,
-    config: RoundConfig | None = None,
+    config: LearnedConfig,
     progress: Progress = NO_PROGRESS,
 ) -> Round:
     """Run one round on all lines; the network in evaluation mode."""
-    config = config or RoundConfig()
     candidates = find_candidates(lines, nodes, config, progress)
     count = len(candidates)
-    beta, confidence = nodes.beta.clone(), nodes.confidence.clone()
-    state, affinity = torch.zeros_like(nodes.state), torch.zeros_like(candidates, dtype=nodes.beta.dtype)
+    beta, state = nodes.beta.clone(), torch.zeros_like(nodes.state)
+    affinity = torch.zeros_like(candidates, dtype=beta.dtype)
+    sure = beta.new_zeros(count, len(RADII))
     with progress.task("affinities", total=count) as advance:
-        for begin in range(0, count if candidates.shape[1] else 0, config.batch):
+        for begin in range(0, count, config.batch):
             rows = torch.arange(begin, min(begin + config.batch, count), device=candidates.device)
-            near = edges(lines, nodes, posterior, rows, candidates[rows])
-            judgement = network(near)
-            beta[rows] = weighted_peak(near.closest, near.foot, judgement, config.peak, nodes.beta[rows])
-            confidence[rows] = torch.sigmoid(judgement.sure)
-            state[rows], affinity[rows] = judgement.state, torch.sigmoid(judgement.affinity)
+            if candidates.shape[1]:
+                near = edges(lines, nodes, posterior, rows, candidates[rows])
+                judgement = network(near)
+                beta[rows] += weighted_peak(judgement, config.peak)
+                state[rows], sure[rows] = judgement.state, judgement.sure
+                affinity[rows] = torch.sigmoid(judgement.affinity)
             advance(len(rows))
-    return Round(surroundings(lines, beta, confidence, state), candidates, affinity)
+    return Round(surroundings(lines, beta, told(sure), state), candidates, affinity, sure)
 
 
-def weighted_peak(
-    closest: Float[Tensor, "lines k"],
-    foot: Float[Tensor, "lines k"],
-    judgement: Judgement,
-    config: PeakConfig,
-    otherwise: Float[Tensor, " lines"],
-) -> Float[Tensor, " lines"]:
-    """The peak of both kinds of votes, weighted by the network; the estimate before where there is no vote."""
-    votes = torch.stack([closest, foot], dim=2).flatten(1)
+def told(sure: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:
+    """The confidence that the lines around are told in the next round, as the network gives it."""
+    return torch.sigmoid(sure[:, _TOLD])
+
+
+def weighted_peak(judgement: Judgement, config: PeakConfig) -> Float[Tensor, " lines"]:
+    """The peak of the votes, weighted by the network, counted from the estimate before; 0 where there is no vote."""
     weight = torch.softmax(judgement.vote.flatten(1), dim=1)
-    found = find_peak(votes, weight, config).beta
-    return torch.where(found.isnan(), otherwise, found)
+    return find_peak(judgement.place.flatten(1), weight, config).beta.nan_to_num(nan=0.0)
 
 
 class Learned:
-    """The learned attack with one network a round.
+    """The learned attack.
 
-    ``calibration`` has two numbers a round, a and b: the last round's turn its ``sure`` into the confidence
-    sigmoid(a sure + b). Rounds see each other's confidence as the networks give it.
+    Parameters
+    ----------
+    network : LineTransformer
+    config : LearnedConfig, optional
+    calibration : sequence of sequences of (a, b), optional
+        For each round and radius: sigmoid(a sure + b) is the probability that a point is within that radius. Rounds
+        tell each other what the network gives.
+    density : float
+        Share of the map's points that the line cloud holds, as far as it is known. The confidence is that of lying
+        within 1 spacing of the *map*, which is less than that of a thinned cloud.
+
+    Raises
+    ------
+    InputError
+        If there are more rounds than calibrations.
     """
 
     def __init__(
         self,
-        networks: Sequence[LineTransformer],
-        config: RoundConfig | None = None,
-        calibration: Sequence[tuple[float, float]] | None = None,
+        network: LineTransformer,
+        config: LearnedConfig | None = None,
+        calibration: Sequence[Sequence[tuple[float, float]]] | None = None,
+        density: float = 1.0,
     ) -> None:
-        self.networks = [network.eval() for network in networks]
-        self.config = config or RoundConfig()
-        self.calibration = list(calibration or [(1.0, 0.0)] * len(self.networks))
+        self.network = network.eval()
+        self.config = config or LearnedConfig()
+        self.calibration = calibration or [[(1.0, 0.0)] * len(RADII)] * self.config.rounds
+        self.density = density
 
     def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
-        """Tomography, then a round for each network."""
+        """Tomography, then the rounds; O(rounds x lines x k^2) besides the searches."""
+        network = self.network.to(lines.direction.device)
         posterior = reconstruct(lines, TomographyConfig(), progress)
         nodes = first_nodes(lines, posterior)
-        if not self.networks:
+        if not self.config.rounds:
             candidates = find_candidates(lines, nodes, self.config, progress)
             return Estimate(nodes.beta, nodes.confidence, candidates, (candidates >= 0).to(nodes.beta.dtype))
-        candidates, affinity = None, None
-        for network in self.networks:
-            nodes, candidates, affinity = judge_round(lines, nodes, posterior, network, self.config, progress)
-        assert candidates is not None and affinity is not None
-        return Estimate(nodes.beta, self._calibrated(nodes.confidence), candidates, affinity)
+        found = None
+        for _ in range(self.config.rounds):
+            found = judge_round(lines, nodes, posterior, network, self.config, progress)
+            nodes = found.nodes
+        assert found is not None
+        return Estimate(nodes.beta, self.confidence(found), found.candidates, found.affinity)
 
-    def _calibrated(self, confidence: Float[Tensor, " lines"]) -> Float[Tensor, " lines"]:
-        slope, offset = self.calibration[len(self.networks) - 1]
-        return torch.sigmoid(slope * torch.logit(confidence, eps=1e-6) + offset)
+    def confidence(self, found: Round) -> Float[Tensor, " lines"]:
+        """Calibrated probability that each point of the last round lies within 1 spacing of the map."""
+        calibration = found.sure.new_tensor(self.calibration[self.config.rounds - 1])
+        logit = (calibration[:, 0] * found.sure + calibration[:, 1]).cummax(dim=1).values
+        return torch.sigmoid(_between(logit, math.log(spacing_ratio(found.nodes.point, self.density))))
 
     def settings(self) -> dict[str, Any]:
-        """Rounds, their configuration and the networks' sizes."""
-        return {
-            "rounds": len(self.networks),
-            **asdict(self.config),
-            "networks": [asdict(network.config) for network in self.networks],
-        }
+        """Rounds, candidates, size of the network, density."""
+        return {**asdict(self.config), "network": asdict(self.network.config), "density": self.density}
+
+
+def spacing_ratio(points: Float[Tensor, "lines 3"], density: float) -> float:
+    """Spacing of a map over that of the share ``density`` of its points.
+
+    The 50th neighbour in the map is about neighbour 50 x density in the share.
+    """
+    k = max(1, round(_SPACING * density))
+    if k >= min(_SPACING, len(points) - 1):
+        return 1.0
+    near = nearest_points_to_points(points, _SPACING).distance
+    own, full = float(near[:, -1].median()), float(near[:, k - 1].median())
+    return min(1.0, max(full / own, 1e-3)) if own > 0 else 1.0
+
+
+def _between(logit: Float[Tensor, "lines radii"], log_radius: float) -> Float[Tensor, " lines"]:
+    """The logit at a radius between those that the network knows, in line over the logarithm of the radius.
+
+    Below the smallest the line goes on: with the radius the probability falls to 0.
+    """
+    known = [math.log(radius) for radius in RADII]
+    after = min(max(sum(radius <= log_radius for radius in known), 1), len(known) - 1)
+    share = (log_radius - known[after - 1]) / (known[after] - known[after - 1])
+    return torch.lerp(logit[:, after - 1], logit[:, after], share)

@@ -1,10 +1,18 @@
 """The line transformer: which of a line's candidates are true neighbours, judged by how well their votes agree.
 
-A candidate's token holds the features of its pair and the state that the candidate took from the round before.
-Tokens of one line attend to each other by where they vote: in head h token j reaches token i with the weight
-1 / (1 + ((t_i - t_j) / (s_h w_j))^2)^2, where t is a position along the line, w_j the candidate's local scale and s_h
-the width of the head. The weights are *not* normalised over j: how many candidates agree is what matters, and a
-softmax would divide it out. States carry what a line has found to the lines around it, round by round.
+A candidate's token holds the features of its pair, the state that the candidate took from the round before, and the
+density of the other candidates around the foot of its estimate. Tokens of one line attend to each other by where they
+are along the line: in head h token k reaches token j with the weight
+
+    A_h[j, k] = (1 + ((t_j - t_k)^2 + g_k^2) / (s_h w_k)^2)^-2,
+
+where t is the foot of an estimate on the line, g its distance from the line, w its local scale and s_h the width of
+the head: (t_j - t_k)^2 + g_k^2 is the squared distance of estimate k from foot j. So sum_k A_h[j, k] / w_k^3 is an
+adaptive kernel estimate of the density of points at foot j; its logarithm, counted from the densest foot of the line,
+is what a line's point is most likely to go by when the others are known (leave-one-out, :mod:`l2p.oracles`). With the
+same weights the mean of the feet around foot j, a step of mean shift, is a further vote of candidate j in each head.
+Each layer also sees the mean and the maximum over all tokens, since the places along a line compete. States carry what
+a line has found to the lines around it, round by round.
 """
 
 from __future__ import annotations
@@ -16,12 +24,25 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from l2p.features import EDGE, STATE, Edges
+from l2p.features import EDGE, STATE, VOTES, Edges
+
+#: Radii, in spacings of the line cloud's own points, within which the network says how likely a point is found.
+RADII = (0.125, 0.25, 0.5, 1.0, 2.0)
+#: Numbers of a foot in each head: density of all candidates, of the confident ones, plain count, and mean shift.
+_AROUND = 4
+#: Local scales that the mean of the feet may lie from a foot.
+_FARTHEST_MEAN = 3.0
+#: Numbers of a token that are pooled over the line.
+_POOLED = 16
+#: Bounds of the logarithm of a density against the densest, and its factor: inputs of a network are about 1.
+_LOG_RANGE, _LOG_FACTOR = 15.0, 0.3
+#: Logit of what is not there.
+_NOTHING = -30.0
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes of one round's network.
+    """Sizes of the network.
 
     Attributes
     ----------
@@ -33,53 +54,64 @@ class NetworkConfig:
         Widths s_h of the attention, spread geometrically from ``finest`` to ``widest`` local scales.
     """
 
-    width: int = 48
-    layers: int = 2
+    width: int = 64
+    layers: int = 3
     heads: int = 4
-    finest: float = 0.15
-    widest: float = 4.0
+    finest: float = 0.25
+    widest: float = 2.0
 
     def __post_init__(self) -> None:
         if self.width % self.heads:
             raise ValueError(f"got width {self.width} and {self.heads} heads; expected a width that they divide")
 
+    @property
+    def scales(self) -> list[float]:
+        """The widths s_h."""
+        ratio = (self.widest / self.finest) ** (1 / max(self.heads - 1, 1))
+        return [self.finest * ratio**head for head in range(self.heads)]
+
 
 class Judgement(NamedTuple):
     """The network's word on each line.
 
-    ``affinity`` and ``vote`` are logits: of each candidate being a true neighbour, and of the point being where the
-    candidate's two votes, closest point and foot, are. ``state`` is handed to the next round, ``sure`` is the logit
-    of the line's point being found.
+    ``affinity``: logit of each candidate being a true neighbour. ``place``: each candidate's votes, those of its pair
+    and one for each head, positions on the line from the estimate before, ``vote``: logits of the point being there,
+    over all votes of a line. ``sure``: logits of the point being found within each of ``RADII``. ``state`` is handed
+    to the next round.
     """
 
     affinity: Float[Tensor, "lines k"]
-    vote: Float[Tensor, "lines k 2"]
+    place: Float[Tensor, "lines k votes"]
+    vote: Float[Tensor, "lines k votes"]
     state: Float[Tensor, "lines state"]
-    sure: Float[Tensor, " lines"]
+    sure: Float[Tensor, "lines radii"]
 
 
 class PositionAttention(nn.Module):
-    """Tokens attend to each other by position along the line; the kernel matrices are shared by all layers."""
+    """Tokens attend to each other by position along the line; the kernels are shared by all layers."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(width)
         self.value = nn.Linear(width, width)
-        self.mix = nn.Linear(2 * width, width)
+        self.global_value = nn.Linear(width, _POOLED)
+        self.mix = nn.Linear(2 * width + 2 * _POOLED, width)
         self.expand = nn.Linear(width, 2 * width)
         self.shrink = nn.Linear(2 * width, width)
         self.heads = heads
 
     def forward(
-        self, token: Float[Tensor, "lines k width"], kernel: Float[Tensor, "lines heads k k"]
+        self,
+        token: Float[Tensor, "lines k width"],
+        kernel: Float[Tensor, "lines heads k k"],
+        valid: Bool[Tensor, "lines k"],
     ) -> Float[Tensor, "lines k width"]:
-        """One layer: gather what agrees, then think about it."""
+        """One layer: gather what is near on the line, and what the whole line holds, then think about it."""
         normal = self.norm(token)
         value = self.value(normal).unflatten(2, (self.heads, -1)).transpose(1, 2)  # lines heads k dim
-        gathered = (kernel @ value).transpose(1, 2).flatten(2)  # lines k width
-        # Counts range over orders of magnitude.
-        gathered = gathered.sign() * torch.log1p(gathered.abs())
-        token = token + self.mix(torch.cat([normal, gathered], dim=2))
+        near = (kernel @ value).transpose(1, 2).flatten(2)  # lines k width
+        everywhere = _mean_and_most(self.global_value(normal), valid)[:, None].expand(-1, token.shape[1], -1)
+        token = token + self.mix(torch.cat([normal, near, everywhere], dim=2))
         return token + self.shrink(nn.functional.gelu(self.expand(token)))
 
 
@@ -90,41 +122,79 @@ class LineTransformer(nn.Module):
         super().__init__()
         self.config = config or NetworkConfig()
         width, heads = self.config.width, self.config.heads
-        self.embed = nn.Sequential(nn.Linear(len(EDGE) + STATE, width), nn.GELU(), nn.Linear(width, width))
-        # Logarithms of the spread of the two kinds of votes, in local scales (closest points, feet).
-        self.log_spread = nn.Parameter(torch.tensor([-1.0, -1.5]))
+        inputs, votes = len(EDGE) + STATE + _AROUND * heads, len(VOTES) + heads
+        self.embed = nn.Sequential(nn.Linear(inputs, width), nn.GELU(), nn.Linear(width, width))
+        # Logarithms of the spread of each kind of votes, in local scales.
+        self.log_spread = nn.Parameter(torch.full((votes,), -1.5))
         self.layers = nn.ModuleList(PositionAttention(width, heads) for _ in range(self.config.layers))
         self.norm = nn.LayerNorm(width)
-        self.judge = nn.Linear(width, 3)
-        self.pool = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, STATE + 1))
+        self.judge = nn.Linear(width, 1 + votes)
+        self.pool = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, STATE + len(RADII)))
 
     def forward(self, edges: Edges) -> Judgement:
-        """Judge the candidates; padding gets the logit -inf."""
-        token = self.embed(torch.cat([edges.feature, edges.state], dim=2))
-        kernel = self._kernel(edges)
+        """Judge the candidates; padding gets a logit that stands for nothing."""
+        kernel, around, shift = self._kernels(edges)
+        token = self.embed(torch.cat([edges.feature, edges.state, around], dim=2))
         for layer in self.layers:
-            token = layer(token, kernel)
+            token = layer(token, kernel, edges.valid)
         token = self.norm(token)
-        affinity, closest, foot = self.judge(token).unbind(2)
-        valid = edges.valid
-        affinity = affinity.masked_fill(~valid, -torch.inf)
-        vote = torch.stack([closest, foot], dim=2).masked_fill(~valid[..., None], -1e9)
-        state = self.pool(_pooled(token, affinity, valid))
-        return Judgement(affinity, vote, torch.tanh(state[:, :STATE]), state[:, STATE])
+        judged = self.judge(token)
+        affinity = judged[..., 0].masked_fill(~edges.valid, _NOTHING)
+        vote = judged[..., 1:].masked_fill(~edges.valid[..., None], -1e9)
+        pooled = self.pool(_pooled(token, affinity, edges.valid))
+        place = torch.cat([edges.vote, edges.vote[..., VOTES.index("foot"), None] + shift], dim=2)
+        return Judgement(affinity, place, vote, torch.tanh(pooled[:, :STATE]), _rising(pooled[:, STATE:]))
 
-    def _kernel(self, edges: Edges) -> Float[Tensor, "lines heads k k"]:
-        apart = ((edges.foot[:, :, None] - edges.foot[:, None, :]) / edges.width[:, None, :]).square_()
-        ratio = (self.config.widest / self.config.finest) ** (1 / max(self.config.heads - 1, 1))
-        widths = [self.config.finest * ratio**head for head in range(self.config.heads)]
-        kernel = torch.stack([(apart / width**2).add_(1).square_().reciprocal_() for width in widths], dim=1)
-        return kernel * edges.valid[:, None, None, :]
+    def _kernels(
+        self, edges: Edges
+    ) -> tuple[Float[Tensor, "lines heads k k"], Float[Tensor, "lines k around"], Float[Tensor, "lines k heads"]]:
+        """The attention of each head, its rows scaled to sum to 1; inputs about what is around each foot; and the
+        mean of the feet there, counted from the foot."""
+        valid = edges.valid
+        width = edges.width.masked_fill(~valid, 1.0)
+        foot = edges.vote[..., VOTES.index("foot")].masked_fill(~valid, 0)
+        apart2 = (foot[:, :, None] - foot[:, None, :]).square_().add_(edges.gap.square()[:, None, :])
+        apart2 = apart2.mul_(width.square().reciprocal()[:, None, :])
+        # 1 / w^3, counted from the densest so that it stays in range.
+        weight = -3 * width.log().masked_fill(~valid, torch.inf)
+        weight = (weight - weight.amax(dim=1, keepdim=True)).exp().masked_fill(~valid, 0)
+        confident = weight * edges.confidence
+        weights = torch.stack([weight, confident, valid.to(weight.dtype), confident * foot], dim=2)
+        kernels, around, shifts = [], [], []
+        for scale in self.config.scales:
+            kernel = (apart2 * scale**-2).add_(1).square_().reciprocal_()
+            total = kernel @ weights
+            kernels.append(kernel.mul_(valid[:, None, :]).div_(total[..., 2:3] + 1e-2))
+            logarithm = total[..., :3].clamp_min(1e-12).log()
+            densest = logarithm[..., :2].masked_fill(~valid[..., None], -torch.inf).amax(dim=1, keepdim=True)
+            logarithm[..., :2] -= densest
+            mean = total[..., 3] / total[..., 1].clamp_min(1e-12)
+            shift = torch.where(total[..., 1] > 1e-12, mean - foot, 0.0) / width
+            shifts.append(shift.clamp(-_FARTHEST_MEAN, _FARTHEST_MEAN))
+            around.append(logarithm.clamp(-_LOG_RANGE, _LOG_RANGE) * _LOG_FACTOR)
+        shift = torch.stack(shifts, dim=2)
+        inputs = torch.cat([*around, edges.side[..., None] * shift], dim=2)
+        inputs = inputs.nan_to_num().masked_fill(~valid[..., None], 0)
+        return torch.stack(kernels, dim=1), inputs, shift * width[..., None]
+
+
+def _mean_and_most(value: Float[Tensor, "lines k n"], valid: Bool[Tensor, "lines k"]) -> Float[Tensor, "lines two_n"]:
+    """Mean and maximum over a line's candidates; about 0 for a line without any."""
+    share = valid / valid.sum(dim=1, keepdim=True).clamp_min(1)
+    most = value.masked_fill(~valid[..., None], _NOTHING).amax(dim=1)
+    return torch.cat([(share[..., None] * value).sum(dim=1), most * valid.any(dim=1, keepdim=True)], dim=1)
+
+
+def _rising(logit: Float[Tensor, "lines radii"]) -> Float[Tensor, "lines radii"]:
+    """Logits that do not fall from one radius to the next."""
+    return torch.cat([logit[:, :1], nn.functional.softplus(logit[:, 1:])], dim=1).cumsum(dim=1)
 
 
 def _pooled(
     token: Float[Tensor, "lines k width"], affinity: Float[Tensor, "lines k"], valid: Bool[Tensor, "lines k"]
 ) -> Float[Tensor, "lines two_widths"]:
     """Mean token by affinity, and over all candidates."""
-    weight = torch.sigmoid(affinity)
+    weight = torch.sigmoid(affinity) * valid
     share = (weight / weight.sum(dim=1, keepdim=True).clamp_min(1e-6))[..., None]
     everything = (valid / valid.sum(dim=1, keepdim=True).clamp_min(1))[..., None]
     return torch.cat([(share * token).sum(dim=1), (everything * token).sum(dim=1)], dim=1)

@@ -21,9 +21,13 @@ def main(config: DictConfig) -> None:
     try:
         settings = settings_of(config)
         # Lightning takes seconds to load; a wrong config is told at once.
+        from lightning.pytorch.utilities import rank_zero_only
+
         from train.program import train_all
 
-        print(train_all(settings, Path(HydraConfig.get().runtime.output_dir), command))
+        model = train_all(settings, Path(HydraConfig.get().runtime.output_dir), command)
+        if rank_zero_only.rank == 0:
+            print(model)
     except (InputError, FileNotFoundError) as error:
         print(f"train: {error}", file=sys.stderr)
         sys.exit(2)

@@ -11,7 +11,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from l2p.checkpoint import configured
 from l2p.errors import InputError
-from l2p.learned import RoundConfig
+from l2p.learned import LearnedConfig
 from l2p.network import NetworkConfig
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
@@ -33,7 +33,7 @@ def _keys_of(kind: type) -> type:
     return make_dataclass(f"{kind.__name__}Keys", made)
 
 
-NetworkKeys, RoundKeys = _keys_of(NetworkConfig), _keys_of(RoundConfig)
+NetworkKeys, LearnedKeys = _keys_of(NetworkConfig), _keys_of(LearnedConfig)
 
 
 @dataclass
@@ -53,33 +53,29 @@ class TrainConfig:
 
     name: str = MISSING
     run: str = MISSING
-    cache: str = MISSING
     seed: int = MISSING
     scenes: list[str] = MISSING
     simulated: int = MISSING
     simulated_points: list[int] = MISSING
     val: list[str] = MISSING
     val_fractions: list[float] = MISSING
-    liftings: int = MISSING
     min_lines: int = MISSING
     max_lines: int = MISSING
-    total_lines: int | None = None
-    rounds: int = MISSING
     steps: int = MISSING
     minutes: float | None = None
+    clouds: int = MISSING
     lines_per_batch: int = MISSING
     learning_rate: float = MISSING
     weight_decay: float = MISSING
     warmup: int = MISSING
     averaging: float = MISSING
     validate_every: int = MISSING
-    validate_lines: int = MISSING
     patience: int | None = None
     save_every: int = MISSING
     threads: int | None = None
     trainer: TrainerKeys = field(default_factory=TrainerKeys)
     network: NetworkKeys = field(default_factory=NetworkKeys)  # type: ignore[valid-type]
-    round: RoundKeys = field(default_factory=RoundKeys)  # type: ignore[valid-type]
+    learned: LearnedKeys = field(default_factory=LearnedKeys)  # type: ignore[valid-type]
 
 
 ConfigStore.instance().store(name="train_schema", node=TrainConfig)
@@ -89,33 +85,30 @@ ConfigStore.instance().store(name="train_schema", node=TrainConfig)
 class DataSettings:
     """Which line clouds are trained and judged on."""
 
-    cache: Path
     seed: int
     scenes: tuple[str, ...]
     simulated: int
     simulated_points: tuple[int, int]
     val: tuple[str, ...]
     val_fractions: tuple[float, ...]
-    liftings: int
     min_lines: int
     max_lines: int
-    total_lines: int | None
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How one round's network is trained."""
+    """How the network is trained."""
 
     seed: int
     steps: int
     minutes: float | None
+    clouds: int
     lines_per_batch: int
     learning_rate: float
     weight_decay: float
     warmup: int
     averaging: float
     validate_every: int
-    validate_lines: int
     patience: int | None
     save_every: int
 
@@ -124,12 +117,11 @@ class FitSettings:
 class Settings:
     """A checked config."""
 
-    rounds: int
     threads: int | None
     data: DataSettings
     fit: FitSettings
     network: NetworkConfig
-    round: RoundConfig
+    learned: LearnedConfig
     trainer: dict[str, Any]
     resolved: dict[str, Any]
 
@@ -137,8 +129,8 @@ class Settings:
 #: Keys that may change between two starts of one run; all others make another model.
 CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "trainer")
 _AT_LEAST_ONE = (
-    *("liftings", "min_lines", "rounds", "steps", "lines_per_batch"),
-    *("validate_every", "validate_lines", "save_every"),
+    *("min_lines", "steps", "clouds", "lines_per_batch"),
+    *("validate_every", "save_every"),
 )
 
 
@@ -153,18 +145,18 @@ def settings_of(config: DictConfig) -> Settings:
     resolved: Any = OmegaConf.to_container(config, resolve=True)
     _check(resolved)
     try:
-        network, rounds = configured(NetworkConfig, resolved["network"]), configured(RoundConfig, resolved["round"])
+        network, learned = (
+            configured(NetworkConfig, resolved["network"]),
+            configured(LearnedConfig, resolved["learned"]),
+        )
     except ValueError as error:
         raise InputError(str(error)) from error
-    data = _some(DataSettings, resolved)
-    data["cache"] = Path(data["cache"])
     return Settings(
-        rounds=resolved["rounds"],
         threads=resolved["threads"],
-        data=DataSettings(**data),
+        data=DataSettings(**_some(DataSettings, resolved)),
         fit=FitSettings(**_some(FitSettings, resolved)),
         network=network,
-        round=rounds,
+        learned=learned,
         trainer=resolved["trainer"],
         resolved=resolved,
     )
@@ -185,8 +177,8 @@ def _check(resolved: dict[str, Any]) -> None:
         raise InputError("got no val scenes; expected at least one, to calibrate the confidence")
     if resolved["max_lines"] < resolved["min_lines"]:
         raise InputError(f"got max_lines {resolved['max_lines']}; expected at least min_lines, {resolved['min_lines']}")
-    if resolved["total_lines"] is not None and resolved["total_lines"] < resolved["max_lines"]:
-        raise InputError(f"got total_lines {resolved['total_lines']}; expected at least max_lines or null")
+    if resolved["learned"]["rounds"] < 1:
+        raise InputError(f"got {resolved['learned']['rounds']} learned.rounds; expected at least 1")
     points = resolved["simulated_points"]
     if len(points) != 2 or not 1 <= points[0] <= points[1]:
         raise InputError(f"got simulated_points {points}; expected [LEAST, MOST]")

@@ -1,9 +1,9 @@
-"""What a round is worth on held-back clouds: its calibration, and its figures for the record."""
+"""What the network is worth on held-back clouds: its calibration, and its figures for the record."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,27 +12,59 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from train.clouds import CloudSource
-from train.states import State
+from l2p.learned import LearnedConfig, judge_round
+from l2p.metrics import calibration_error
+from l2p.network import RADII, LineTransformer
+from train.clouds import Cloud, CloudSource
 
-_BINS = 15
+_ONE = RADII.index(1.0)
 
 
-def calibrate(after: Sequence[State]) -> tuple[float, float]:
-    """a and b of sigmoid(a sure + b), the probability of lying within 1 spacing (Platt scaling).
+@dataclass(frozen=True)
+class Judged:
+    """Errors of a cloud's lines after a round, in spacings of the cloud, and the network's logits about them."""
 
-    Every cloud counts the same. ``after`` are the states after the round; a stays positive, so that ranks are kept.
+    error: Float[Tensor, " lines"]
+    sure: Float[Tensor, "lines radii"]
+
+
+@torch.inference_mode()
+def rounds_of(cloud: Cloud, network: LineTransformer, config: LearnedConfig) -> list[Judged]:
+    """What every round finds on a cloud."""
+    nodes, found = cloud.first_nodes, []
+    for _ in range(config.rounds):
+        result = judge_round(cloud.lines, nodes, cloud.posterior, network, config)
+        nodes = result.nodes
+        found.append(Judged((nodes.beta - cloud.true_beta).abs() / cloud.spacing, result.sure))
+    return found
+
+
+def errors_by_round(cloud: Cloud, network: LineTransformer, config: LearnedConfig) -> list[Float[Tensor, " lines"]]:
+    """Errors of a cloud's lines after every round, in spacings of the cloud."""
+    return [judged.error for judged in rounds_of(cloud, network, config)]
+
+
+def calibrate(judged: Sequence[Judged]) -> list[tuple[float, float]]:
+    """For each radius a and b of sigmoid(a sure + b), the probability of lying within it (Platt scaling).
+
+    Every cloud counts the same; a stays positive, so that ranks are kept.
     """
-    sure = torch.cat([_sure(state) for state in after])
-    inside = torch.cat([_inside(state) for state in after]).double()
-    weight = torch.cat([torch.full((len(s.candidates),), 1 / len(s.candidates)) for s in after]).double()
+    weight = torch.cat([torch.full((len(part.error),), 1 / len(part.error)) for part in judged]).double()
+    sure = torch.cat([part.sure for part in judged]).double()
+    error = torch.cat([part.error for part in judged])
+    return [_platt(sure[:, place], error <= radius, weight) for place, radius in enumerate(RADII)]
+
+
+def _platt(
+    sure: Float[Tensor, " lines"], inside: Bool[Tensor, " lines"], weight: Float[Tensor, " lines"]
+) -> tuple[float, float]:
     numbers = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # log a, b
     optimizer = torch.optim.LBFGS([numbers], max_iter=100, line_search_fn="strong_wolfe")
 
     def closure() -> Tensor:
         optimizer.zero_grad()
         entropy = functional.binary_cross_entropy_with_logits(
-            numbers[0].exp() * sure + numbers[1], inside, reduction="none"
+            numbers[0].exp() * sure + numbers[1], inside.double(), reduction="none"
         )
         # A little pull to the identity keeps the answer finite where all lines, or none, are found.
         loss = (weight * entropy).sum() / weight.sum() + 1e-4 * numbers.square().sum()
@@ -44,41 +76,20 @@ def calibrate(after: Sequence[State]) -> tuple[float, float]:
     return float(np.exp(log_slope)), float(offset)
 
 
-def figures(source: CloudSource, state: State, calibration: tuple[float, float]) -> dict[str, Any]:
-    """Errors of the estimates after a round, in spacings, and what the calibrated confidence is worth."""
-    error = _error(state)
-    probability = torch.sigmoid(calibration[0] * _sure(state) + calibration[1])
-    inside = _inside(state)
+def figures(
+    source: CloudSource, judged: Sequence[Judged], calibration: Sequence[tuple[float, float]]
+) -> dict[str, Any]:
+    """Errors after every round, and what the calibrated confidence of the last one is worth; for one cloud."""
+    error, sure = judged[-1].error, judged[-1].sure[:, _ONE].double()
+    slope, offset = calibration[_ONE]
+    probability, inside = torch.sigmoid(slope * sure + offset), error <= 1
+    best = probability.argsort(descending=True)[: max(1, len(probability) // 2)]
     return {
-        "scene": Path(source.scene).name,
+        "scene": source.name,
         "fraction": source.fraction,
         "lines": len(error),
-        "median": round(float(error.median()), 4),
-        "within": round(float(inside.float().mean()), 4),
-        "confident_half": round(_best_half(probability, inside), 4),
-        "calibration_error": round(_calibration_error(probability, inside), 4),
+        "median": [round(float(part.error.median()), 4) for part in judged],
+        "within": [round(float((part.error <= 1).float().mean()), 4) for part in judged],
+        "confident_half": round(float(inside[best].float().mean()), 4),
+        "calibration_error": round(calibration_error(probability.numpy(), inside.numpy()), 4),
     }
-
-
-def _sure(state: State) -> Float[Tensor, " lines"]:
-    return torch.logit(state.nodes.confidence.double(), eps=1e-6)
-
-
-def _error(state: State) -> Float[Tensor, " lines"]:
-    return (state.nodes.beta - state.cloud.true_beta).abs() / state.cloud.spacing
-
-
-def _inside(state: State) -> Bool[Tensor, " lines"]:
-    return _error(state) <= 1
-
-
-def _best_half(probability: Float[Tensor, " lines"], inside: Bool[Tensor, " lines"]) -> float:
-    best = probability.argsort(descending=True)[: max(1, len(probability) // 2)]
-    return float(inside[best].float().mean())
-
-
-def _calibration_error(probability: Float[Tensor, " lines"], inside: Bool[Tensor, " lines"]) -> float:
-    """Mean distance of the mean probability from the share inside, over bins of equal size."""
-    order = probability.argsort()
-    parts = zip(probability[order].tensor_split(_BINS), inside[order].double().tensor_split(_BINS), strict=True)
-    return float(sum(len(p) * abs(float(p.mean() - right.mean())) for p, right in parts if len(p)) / len(order))

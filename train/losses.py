@@ -1,4 +1,4 @@
-"""What a network is trained for: true neighbours, the place of the point, and knowing when it is found."""
+"""What the network is trained for: true neighbours, the place of the point, and knowing when it is found."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from l2p.features import Edges
 from l2p.learned import weighted_peak
-from l2p.network import Judgement
+from l2p.network import RADII, Judgement
 from l2p.peak import PeakConfig
 
 #: A candidate at this many local radii is as likely a true neighbour as not; labels fall over a fifth of that.
@@ -23,22 +23,25 @@ LEAST_ERROR, MOST_ERROR = 0.01, 100.0
 
 
 class Sample(NamedTuple):
-    """Some lines of one cloud with their truth; ``before`` is the estimate of the round before."""
+    """Some lines with their truth; ``true_beta`` is counted from the estimate before, as the votes are.
+
+    ``spacing`` is that of each line's cloud.
+    """
 
     edges: Edges
     label: Float[Tensor, "lines k"]
     true_beta: Float[Tensor, " lines"]
-    before: Float[Tensor, " lines"]
-    spacing: Float[Tensor, ""]
+    spacing: Float[Tensor, " lines"]
 
 
 class Losses(NamedTuple):
-    """The terms of the loss, whose sum is trained, and the error of the estimate, in spacings."""
+    """The terms of the loss, whose sum is trained; how far the estimates moved, and their error in spacings."""
 
     affinity: Float[Tensor, ""]
     position: Float[Tensor, ""]
     sure: Float[Tensor, ""]
     probe: Float[Tensor, ""]
+    moved: Float[Tensor, " lines"]
     error: Float[Tensor, " lines"]
 
     @property
@@ -56,21 +59,22 @@ def soft_labels(distance: Float[Tensor, "lines k"], radius: Float[Tensor, " line
 def losses(
     sample: Sample,
     judgement: Judgement,
-    log_spread: Float[Tensor, "2"],
+    log_spread: Float[Tensor, " votes"],
     probe: Float[Tensor, " lines"],
     peak: PeakConfig,
 ) -> Losses:
     """All terms; ``probe`` is what a linear layer reads from the states as the logarithm of the error."""
     with torch.no_grad():
-        near = sample.edges
-        beta = weighted_peak(near.closest, near.foot, judgement, peak, sample.before)
-        error = (beta - sample.true_beta).abs() / sample.spacing
-        inside, size = (error <= 1).to(error.dtype), error.clamp(LEAST_ERROR, MOST_ERROR).log()
+        moved = weighted_peak(judgement, peak)
+        error = (moved - sample.true_beta).abs() / sample.spacing
+        inside = (error[:, None] <= error.new_tensor(RADII)).to(error.dtype)
+        size = error.clamp(LEAST_ERROR, MOST_ERROR).log()
     return Losses(
         affinity=affinity_loss(judgement, sample),
         position=position_loss(judgement, sample, log_spread),
         sure=functional.binary_cross_entropy_with_logits(judgement.sure, inside),
         probe=0.1 * functional.smooth_l1_loss(probe, size),
+        moved=moved,
         error=error,
     )
 
@@ -84,12 +88,12 @@ def affinity_loss(judgement: Judgement, sample: Sample) -> Float[Tensor, ""]:
     return (entropy * valid).sum() / valid.sum().clamp_min(1)
 
 
-def position_loss(judgement: Judgement, sample: Sample, log_spread: Float[Tensor, "2"]) -> Float[Tensor, ""]:
+def position_loss(judgement: Judgement, sample: Sample, log_spread: Float[Tensor, " votes"]) -> Float[Tensor, ""]:
     """Minus the logarithm of the mixture of all votes at the true place, over a floor of outliers."""
     near = sample.edges
-    vote = torch.stack([near.closest, near.foot], dim=2).flatten(1)
-    width = (near.width[..., None] * log_spread.exp()).flatten(1)
-    apart = (vote - sample.true_beta[:, None]) / width
-    density = -torch.log1p(apart.square()) - (width / sample.spacing).log()
-    mixture = torch.logsumexp(functional.log_softmax(judgement.vote.flatten(1), dim=1) + density, dim=1)
+    width = near.width.masked_fill(~near.valid, 1.0)[..., None] * log_spread.exp()
+    apart = (judgement.place - sample.true_beta[:, None, None]) / width
+    density = -torch.log1p(apart.square()) - (width / sample.spacing[:, None, None]).log()
+    share = functional.log_softmax(judgement.vote.flatten(1), dim=1)
+    mixture = torch.logsumexp(share + density.flatten(1), dim=1)
     return -torch.logaddexp(mixture, torch.full_like(mixture, BACKGROUND)).mean()

@@ -1,65 +1,104 @@
-"""Training of one round's network: optimiser, schedule, moving average of the weights, figures."""
+"""Training of the network: optimiser, schedule, moving average of the weights, the pool of clouds, figures."""
 
 from __future__ import annotations
 
 import copy
+import itertools
+import math
+import signal
 import time
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import lightning
 import torch
+import torch.distributed
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor, nn
+from torch.utils.data import DataLoader
 
 from l2p.features import STATE
+from l2p.learned import LearnedConfig
 from l2p.network import LineTransformer
-from l2p.peak import PeakConfig
+from train.clouds import CloudSource, lifted
 from train.config import FitSettings
-from train.losses import Losses, Sample, losses
+from train.judging import errors_by_round
+from train.losses import losses
+from train.pool import Pool
+from train.sources import Sources
 
 #: Share of the learning rate that is left at the end.
 _LAST_RATE = 0.02
 #: The moving average forgets faster in the first steps: 1 - 1 / (1 + steps / this).
 _FORGET = 10.0
+#: What a validation finds.
+_FIGURES = ("val/score", "val/median", "val/within")
 
 
-class RoundModule(lightning.LightningModule):
+class NetworkModule(lightning.LightningModule):
     """``network`` is trained, ``average`` follows it and is what is validated and shipped.
 
     ``probe`` reads the error from the states, so that they carry something to the next round; it stays here.
     """
 
-    def __init__(self, network: LineTransformer, fit: FitSettings, peak: PeakConfig) -> None:
+    def __init__(
+        self,
+        network: LineTransformer,
+        config: LearnedConfig,
+        fit: FitSettings,
+        sources: Sources,
+        held_back: Sequence[CloudSource],
+    ) -> None:
         super().__init__()
         self.network = network
         self.average = copy.deepcopy(network).requires_grad_(False)
         self.probe = nn.Linear(STATE, 1)
-        self.fit = fit
-        self.peak = peak
+        self.config, self.fit = config, fit
+        self.sources, self.held_back = sources, held_back
+        self.pool: Pool | None = None
+        self._pools_before: list[dict[str, Any]] = []
         self._seconds_before, self._began = 0.0, time.monotonic()
+        self.done = 0.0
 
     @property
     def seconds(self) -> float:
-        """Time spent in this round's training, over all starts."""
+        """Time spent in training, over all starts."""
         return self._seconds_before + time.monotonic() - self._began
-
-    @property
-    def done(self) -> float:
-        """Share of the steps, or of the minutes if there are fewer of them, that is done."""
-        share = self.global_step / self.fit.steps
-        return share if self.fit.minutes is None else max(share, self.seconds / 60 / self.fit.minutes)
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """AdamW on everything but the average."""
         weights = [*self.network.parameters(), *self.probe.parameters()]
         return torch.optim.AdamW(weights, lr=self.fit.learning_rate, weight_decay=self.fit.weight_decay)
 
-    def on_train_start(self) -> None:
-        """Preparation is not training."""
-        self._began = time.monotonic()
+    def train_dataloader(self) -> Iterable[int]:
+        """Numbers without end: what is in a batch is up to the pool, and the trainer knows when to stop."""
+        return itertools.count()
 
-    def on_train_batch_start(self, batch: Sample, batch_idx: int) -> None:
+    def val_dataloader(self) -> DataLoader[int]:
+        """Numbers of the held-back clouds that this process judges; some are beyond the last, so that all have equally
+        many."""
+        ranks = self.trainer.world_size
+        most = math.ceil(len(self.held_back) / ranks) * ranks
+        return DataLoader(range(self.global_rank, most, ranks), batch_size=None)  # type: ignore[arg-type]
+
+    def on_train_start(self) -> None:
+        """Clouds for a first batch, or those of the run that is continued."""
+        if self.trainer.world_size > 1:
+            # Lightning's handler talks to the other processes in the middle of whatever they talk about, and hangs.
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        self._began = time.monotonic()
+        rank, ranks = self.global_rank, self.trainer.world_size
+        self.pool = Pool(self.sources, self.config, self.fit.clouds, self.fit.seed, rank, ranks)
+        if rank < len(self._pools_before):
+            self.pool.load_state_dict(self._pools_before[rank])
+
+    def on_train_batch_start(self, batch: int, batch_idx: int) -> None:
         """Warm up, then fall in a line to almost nothing; the schedule follows steps or minutes."""
+        share = self.global_step / self.fit.steps
+        if self.fit.minutes is not None:
+            share = max(share, self.seconds / 60 / self.fit.minutes)
+        # All processes have to stop at the same step.
+        self.done = share if self.trainer.world_size == 1 else self.trainer.strategy.broadcast(share)
         warm = min(1.0, (self.global_step + 1) / max(self.fit.warmup, 1))
         rate = self.fit.learning_rate * warm * max(_LAST_RATE, 1 - self.done)
         optimizer = self.optimizers()
@@ -68,10 +107,17 @@ class RoundModule(lightning.LightningModule):
             group["lr"] = rate
         self.log("train/rate", rate, batch_size=1)
 
-    def training_step(self, batch: Sample, batch_idx: int) -> Tensor:
-        """The loss of one sample."""
-        found = self._losses(self.network, batch)
-        self._log_figures("train", found)
+    def training_step(self, batch: int, batch_idx: int) -> Tensor:
+        """The loss of the next lines of the pool's clouds; what the network says of them stays in the pool."""
+        assert self.pool is not None
+        sample, rows = self.pool.draw(max(1, self.fit.lines_per_batch // self.fit.clouds))
+        judgement = self.network(sample.edges)
+        probe = self.probe(judgement.state).squeeze(1)
+        found = losses(sample, judgement, self.network.log_spread, probe, self.config.peak)
+        self.pool.keep(rows, found.moved, judgement)
+        figures = {name: value for name, value in found._asdict().items() if name not in ("moved", "error")}
+        figures |= {"median": found.error.median(), "within": (found.error <= 1).float().mean()}
+        self.log_dict({f"train/{name}": value for name, value in figures.items()}, batch_size=1)
         return found.total
 
     def optimizer_step(self, *arguments: Any, **named: Any) -> None:
@@ -83,32 +129,32 @@ class RoundModule(lightning.LightningModule):
             for slow, fast in zip(self.average.parameters(), self.network.parameters(), strict=True):
                 slow.lerp_(fast, 1 - keep)
 
-    def on_train_batch_end(self, outputs: Any, batch: Sample, batch_idx: int) -> None:
+    def on_train_batch_end(self, outputs: Any, batch: int, batch_idx: int) -> None:
         """Stop when the time is over."""
         if self.done >= 1:
             self.trainer.should_stop = True
 
-    def validation_step(self, batch: Sample, batch_idx: int) -> None:
-        """Figures of the averaged network on a held-back cloud; each cloud counts the same."""
-        self._log_figures("val", self._losses(self.average, batch))
+    def validation_step(self, batch: int, batch_idx: int) -> None:
+        """All rounds of the averaged network on a held-back cloud; each cloud counts the same."""
+        figures = torch.zeros(len(_FIGURES))
+        if batch < len(self.held_back):
+            error = errors_by_round(lifted(self.held_back[batch]), self.average.eval(), self.config)[-1]
+            # Capped, so that a network that finds a place twice in the same scene is not infinitely good.
+            score = error.median().clamp_min(1e-3).log()
+            figures = torch.stack([score, error.median(), (error <= 1).float().mean()]) / len(self.held_back)
+        # Shares of the mean, summed: processes may have judged different numbers of clouds.
+        named = dict(zip(_FIGURES, figures, strict=True))
+        self.log_dict(named, batch_size=1, sync_dist=True, reduce_fx="sum")
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Keep the clock."""
-        checkpoint["seconds"] = self.seconds
+        """Keep the clock and the pools of all processes."""
+        assert self.pool is not None
+        pools = [self.pool.state_dict()]
+        if self.trainer.world_size > 1:
+            pools = [{} for _ in range(self.trainer.world_size)]
+            torch.distributed.all_gather_object(pools, self.pool.state_dict())
+        checkpoint["seconds"], checkpoint["pools"] = self.seconds, pools
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Go on with the clock."""
-        self._seconds_before = checkpoint["seconds"]
-
-    def _losses(self, network: LineTransformer, batch: Sample) -> Losses:
-        judgement = network(batch.edges)
-        probe = self.probe(judgement.state).squeeze(1)
-        return losses(batch, judgement, network.log_spread, probe, self.peak)
-
-    def _log_figures(self, stage: str, found: Losses) -> None:
-        figures = {name: value for name, value in found._asdict().items() if name != "error"}
-        figures |= {"median": found.error.median(), "within": (found.error <= 1).float().mean()}
-        figures["score"] = found.affinity + found.position
-        figures = {f"{stage}/{name}": value for name, value in figures.items()}
-        # Validation: the mean over all clouds, on all ranks the same, since early stopping looks at it.
-        self.log_dict(figures, batch_size=1, prog_bar=False, sync_dist=stage == "val")
+        """Go on with the clock and the pools."""
+        self._seconds_before, self._pools_before = checkpoint["seconds"], checkpoint["pools"]

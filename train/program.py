@@ -1,4 +1,4 @@
-"""The run: one round after the other, each on what the rounds before really find; then one checkpoint."""
+"""The run: train, calibrate on held-back clouds, and write one checkpoint."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import lightning
 import torch
 import yaml
 from lightning.pytorch.callbacks import Callback, EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.utilities import rank_zero_only
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 
 from eval.provenance import commit, machine, versions
@@ -25,16 +26,17 @@ from l2p.checkpoint import Checkpoint
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.network import LineTransformer
-from train.batches import Batches
-from train.clouds import CloudSource
+from l2p.progress import terminal_progress
+from train.clouds import lifted
 from train.config import CHANGEABLE, Settings
-from train.judging import calibrate, figures
+from train.judging import Judged, calibrate, figures, rounds_of
 from train.lightning_parts import AtomicCheckpoints, FigureTable
-from train.module import RoundModule
-from train.sources import training_sources, validation_sources
-from train.states import State, StateStore
+from train.module import NetworkModule
+from train.sources import Sources, validation_sources
 
 log = logging.getLogger("train")
+# Of several processes, the first one speaks.
+log.addFilter(lambda _: rank_zero_only.rank == 0)
 
 #: Exit code of a process that was told to end, as shells have it.
 _TERMINATED = 128 + signal.SIGTERM
@@ -61,57 +63,47 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
     _check_config(settings, folder)
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
-    training, held_back = training_sources(settings.data), validation_sources(settings.data)
-    store = StateStore(settings.data.cache, settings.round)
-    done = _finished_rounds(folder)
-    log.info("%d + %d clouds, %d of %d rounds done", len(training), len(held_back), len(done), settings.rounds)
-    for number in range(len(done), settings.rounds):
-        networks = [part.networks[0] for part in done]
-        before = store.states(training, networks, "clouds to train on")
-        judged = store.states(held_back, networks, "clouds held back")
-        network, about = _train_round(
-            settings, folder, number, Batches(before, judged, settings.fit, number), callbacks
-        )
-        del before, judged
-        after = store.states(held_back, [*networks, network], "clouds held back")
-        done.append(_finish_round(folder, number, network, settings, held_back, after, about))
-    return _export(settings, folder, command, done[: settings.rounds], training)
-
-
-def _train_round(
-    settings: Settings, folder: Path, number: int, batches: Batches, callbacks: Sequence[Callback]
-) -> tuple[LineTransformer, dict[str, Any]]:
-    """Train one network, from its last state on disk if there is one."""
+    sources, held_back = Sources.of(settings.data), validation_sources(settings.data)
+    log.info("%d scenes, %d clouds held back", len(sources.scenes), len(held_back))
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(settings.fit.seed * 1000 + number)
-        module = RoundModule(LineTransformer(settings.network), settings.fit, settings.round.peak)
-    place = folder / f"round{number}"
-    last = place / "last.ckpt"
+        torch.manual_seed(settings.fit.seed)
+        network = LineTransformer(settings.network)
+        module = NetworkModule(network, settings.learned, settings.fit, sources, held_back)
+    last = folder / "last.ckpt"
     if last.exists():
-        log.info("round %d goes on from %s", number, last)
+        log.info("going on from %s", last)
     with _quiet_lightning():
-        trainer = _trainer(settings, place, callbacks)
+        trainer = _trainer(settings, folder, callbacks)
         try:
-            trainer.fit(module, batches, ckpt_path=str(last) if last.exists() else None, weights_only=True)
+            trainer.fit(module, ckpt_path=str(last) if last.exists() else None, weights_only=True)
         except SIGTERMException as stop:
             raise SystemExit(_TERMINATED) from stop  # Lightning would have it a success
-    about = {"steps": trainer.global_step, "minutes": round(module.seconds / 60, 2)}
-    return module.average.cpu().eval(), about
+    model = folder / MODEL
+    if trainer.is_global_zero:
+        about = {
+            "steps": trainer.global_step,
+            "minutes": round(module.seconds / 60, 2),
+            "processes": trainer.world_size,
+        }
+        _export(settings, model, command, module.average.cpu().eval(), sources, about)
+    return model
 
 
 @contextmanager
 def _quiet_lightning() -> Iterator[None]:
     """Without advertisements, and without warnings about what is meant: no workers, a folder that is continued."""
-    logger = logging.getLogger("lightning.pytorch")
-    level = logger.level
-    logger.setLevel(logging.WARNING)
+    loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.WARNING)
     with warnings.catch_warnings():
         for message in _MEANT:
             warnings.filterwarnings("ignore", message=message)
         try:
             yield
         finally:
-            logger.setLevel(level)
+            for logger, level in zip(loggers, levels, strict=True):
+                logger.setLevel(level)
 
 
 def _trainer(settings: Settings, place: Path, callbacks: Sequence[Callback]) -> lightning.Trainer:
@@ -139,67 +131,40 @@ def _trainer(settings: Settings, place: Path, callbacks: Sequence[Callback]) -> 
     )
 
 
-def _finish_round(
-    folder: Path,
-    number: int,
-    network: LineTransformer,
-    settings: Settings,
-    sources: Sequence[CloudSource],
-    after: Sequence[State],
-    about: dict[str, Any],
-) -> Checkpoint:
-    """Calibrate, judge and keep a round; the file says that it is done."""
-    calibration = calibrate(after)
-    results = [figures(source, state, calibration) for source, state in zip(sources, after, strict=True)]
-    for row in results:
-        log.info(
-            "round %d %s at %g: median %.3f, within %.3f",
-            number,
-            row["scene"],
-            row["fraction"],
-            row["median"],
-            row["within"],
-        )
-    part = Checkpoint([network], settings.round, [calibration], {**about, "results": results})
-    checkpoint.save(_round_file(folder, number), part, overwrite=True)
-    return part
-
-
-def _finished_rounds(folder: Path) -> list[Checkpoint]:
-    done: list[Checkpoint] = []
-    while _round_file(folder, len(done)).exists():
-        done.append(checkpoint.read(_round_file(folder, len(done))))
-    return done
-
-
-def _round_file(folder: Path, number: int) -> Path:
-    return folder / f"round{number}.safetensors"
-
-
 def _export(
-    settings: Settings, folder: Path, command: str, done: Sequence[Checkpoint], sources: Sequence[CloudSource]
-) -> Path:
-    """One checkpoint of all rounds, and the facts about it as JSON."""
+    settings: Settings,
+    model: Path,
+    command: str,
+    network: LineTransformer,
+    sources: Sources,
+    about: dict[str, Any],
+) -> None:
+    """Calibrate and judge the network on the held-back clouds; then the checkpoint, and the facts about it as JSON."""
+    held_back = validation_sources(settings.data)
+    judged: list[list[Judged]] = []
+    with terminal_progress().task("held-back clouds", total=len(held_back)) as advance:
+        for source in held_back:
+            judged.append(rounds_of(lifted(source), network, settings.learned))
+            advance(1)
+    calibration = [calibrate(cast("Sequence[Judged]", part)) for part in zip(*judged, strict=True)]
+    results = [figures(source, part, calibration[-1]) for source, part in zip(held_back, judged, strict=True)]
+    for row in results:
+        log.info("%(scene)s at %(fraction)g: median %(median)s, within %(within)s", row)
     facts = {
         "command": command,
         "commit": commit(),
         "machine": machine(),
         "versions": {**versions(), "lightning": lightning.__version__},
         "seed": settings.fit.seed,
-        "scenes": sorted({Path(source.scene).name for source in sources}),
-        "clouds": len(sources),
-        "rounds": [part.facts for part in done],
+        "scenes": sorted(Path(scene).name for scene, _ in sources.scenes),
+        **about,
+        "results": results,
         "config": settings.resolved,
     }
-    networks = [part.networks[0] for part in done]
-    model = folder / MODEL
-    checkpoint.save(
-        model, Checkpoint(networks, settings.round, [part.calibration[0] for part in done], facts), overwrite=True
-    )
-    with atomic_file(folder / "results.json", overwrite=True) as file:
+    checkpoint.save(model, Checkpoint(network, settings.learned, calibration, facts), overwrite=True)
+    with atomic_file(model.with_name("results.json"), overwrite=True) as file:
         file.write(json.dumps(facts, indent=2, ensure_ascii=False).encode())
-    log.info("%s: %d parameters", model, sum(p.numel() for network in networks for p in network.parameters()))
-    return model
+    log.info("%s: %d parameters", model, sum(parameter.numel() for parameter in network.parameters()))
 
 
 def _check_config(settings: Settings, folder: Path) -> None:
@@ -216,5 +181,6 @@ def _check_config(settings: Settings, folder: Path) -> None:
             raise InputError(
                 f"{folder} was started with another {', '.join(other)}; give name=ANOTHER, or remove the folder"
             )
-    with atomic_file(file, overwrite=True) as out:
-        out.write(yaml.safe_dump(settings.resolved, sort_keys=False, allow_unicode=True).encode())
+    if rank_zero_only.rank == 0:
+        with atomic_file(file, overwrite=True) as out:
+            out.write(yaml.safe_dump(settings.resolved, sort_keys=False, allow_unicode=True).encode())

@@ -1,7 +1,8 @@
-"""Which line clouds are trained on: every scene is lifted several times, thinly and densely."""
+"""Which line clouds are trained on: every scene again and again, thinly and densely, each time lifted anew."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,27 +14,42 @@ from train.config import DataSettings
 
 #: Simulated scenes are numbered from here on, away from the small seeds that people try.
 FIRST_SIMULATED = 10_000
+#: Share of the liftings that take as many lines as they may.
+_FULL = 0.5
 
 
-def training_sources(data: DataSettings) -> list[CloudSource]:
-    """Liftings of all training scenes, each with its own seed and number of lines (log-uniform).
+@dataclass(frozen=True)
+class Sources:
+    """An endless list of line clouds: the n-th depends on the seed and n alone.
 
-    The first lifting of a scene takes as many lines as ``max_lines`` allows. With ``total_lines``, clouds are drawn
-    until no further one fits: every round has to run on all of them before the next one is trained.
+    Scenes come in turns, in another order each time. Half of the liftings take all points of their scene, up to
+    ``max_lines``, the others log-uniformly many.
     """
-    rng = np.random.default_rng([data.seed, 0])
-    scenes = [(scene, len(read(scene).xyz)) for scene in _found(data.scenes)]
-    low, high = data.simulated_points
-    for number in range(data.simulated):
-        kind, points = KINDS[number % len(KINDS)], _log_uniform(low, high, rng)
-        scenes.append((f"sim:{kind}:{points}:{FIRST_SIMULATED + data.seed + number}", points))
-    sources: list[tuple[CloudSource, int]] = []
-    for number, (scene, points) in enumerate(scenes):
-        most = min(points, data.max_lines)
-        for lifting in range(data.liftings):
-            lines = most if lifting == 0 else _log_uniform(min(data.min_lines, most), most, rng)
-            sources.append((CloudSource(scene, round(lines / points, 6), 1000 * lifting + number), lines))
-    return _drawn(sources, data.total_lines, rng)
+
+    scenes: tuple[tuple[str, int], ...]
+    data: DataSettings
+
+    @classmethod
+    def of(cls, data: DataSettings) -> Sources:
+        """All training scenes: the given ones, without those that are held back, and the simulated ones."""
+        rng = np.random.default_rng([data.seed, 0])
+        held_back = set(_found(data.val))
+        scenes = [(scene, len(read(scene).xyz)) for scene in _found(data.scenes) if scene not in held_back]
+        low, high = data.simulated_points
+        for number in range(data.simulated):
+            kind, points = KINDS[number % len(KINDS)], _log_uniform(low, high, rng)
+            scenes.append((f"sim:{kind}:{points}:{FIRST_SIMULATED + data.seed + number}", points))
+        return cls(tuple(scenes), data)
+
+    def __getitem__(self, number: int) -> CloudSource:
+        turn, place = divmod(number, len(self.scenes))
+        order = np.random.default_rng([self.data.seed, 1, turn]).permutation(len(self.scenes))
+        scene, points = self.scenes[order[place]]
+        rng = np.random.default_rng([self.data.seed, 2, number])
+        lines = most = min(points, self.data.max_lines)
+        if rng.random() >= _FULL:
+            lines = _log_uniform(min(self.data.min_lines, most), most, rng)
+        return CloudSource(scene, round(lines / points, 6), int(rng.integers(1 << 31)))
 
 
 def validation_sources(data: DataSettings) -> list[CloudSource]:
@@ -48,21 +64,8 @@ def validation_sources(data: DataSettings) -> list[CloudSource]:
     return sources
 
 
-def _drawn(sources: list[tuple[CloudSource, int]], total: int | None, rng: np.random.Generator) -> list[CloudSource]:
-    """As many of the clouds, in random order, as the total of lines allows."""
-    if total is None:
-        return [source for source, _ in sources]
-    drawn, left = [], total
-    for place in rng.permutation(len(sources)):
-        source, lines = sources[place]
-        if lines <= left:
-            drawn.append(source)
-            left -= lines
-    return drawn
-
-
 def _found(entries: tuple[str, ...]) -> list[str]:
-    """Scenes by the names of the cache, which do not depend on where the program is started."""
+    """Scenes by names that do not depend on where the program is started."""
     sources = [scene.source for scene in scenes_of(entries, {})]
     return [source if source.startswith("sim:") else str(Path(source).resolve()) for source in sources]
 

@@ -1,0 +1,167 @@
+"""The clouds that are being trained on, each on its way through the rounds.
+
+A step takes some lines of each cloud; what the network says of them is both learned from and kept. When all lines of
+a cloud have had their turn, what was kept is the state before its next round, and after the last round a new cloud
+takes the place. So every round is trained on estimates that the network really makes, and making them costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from l2p.features import Edges, Nodes, surroundings
+from l2p.learned import LearnedConfig, find_candidates, told
+from l2p.network import RADII, Judgement
+from train.clouds import Cloud, CloudSource, lifted
+from train.losses import Sample
+from train.sources import Sources
+
+
+@dataclass
+class Entry:
+    """A cloud in a round: its state before the round, and what the round has found so far.
+
+    ``order`` is that in which its lines have their turn, ``turn`` how many have had it.
+    """
+
+    source: CloudSource
+    cloud: Cloud
+    number: int
+    round: int
+    nodes: Nodes
+    candidates: Int[Tensor, "lines k"]
+    order: Int[Tensor, " lines"]
+    turn: int
+    beta: Float[Tensor, " lines"]
+    sure: Float[Tensor, "lines radii"]
+    state: Float[Tensor, "lines state"]
+
+
+class Pool:
+    """As many clouds as a batch mixes.
+
+    Parameters
+    ----------
+    sources : Sources
+    config : LearnedConfig
+    clouds : int
+    seed : int
+    rank, ranks : int
+        Of this process, of all processes: they share the sources out among themselves.
+    """
+
+    def __init__(
+        self, sources: Sources, config: LearnedConfig, clouds: int, seed: int, rank: int = 0, ranks: int = 1
+    ) -> None:
+        self.sources, self.config, self.seed, self.rank, self.ranks = sources, config, seed, rank, ranks
+        self.drawn = 0
+        self.entries = [self._fresh() for _ in range(clouds)]
+
+    def draw(self, lines: int) -> tuple[Sample, list[Int[Tensor, " rows"]]]:
+        """The next lines of every cloud, as one batch, and their rows in each."""
+        rows = [entry.order[entry.turn : entry.turn + lines] for entry in self.entries]
+        samples = [
+            entry.cloud.sample(entry.nodes, entry.candidates, rows)
+            for entry, rows in zip(self.entries, rows, strict=True)
+        ]
+        return _joined(samples), rows
+
+    @torch.no_grad()
+    def keep(self, rows: Sequence[Int[Tensor, " rows"]], moved: Float[Tensor, " batch"], judgement: Judgement) -> None:
+        """Take what the network says of the drawn lines; ``moved`` is counted from the estimate before."""
+        sizes = [len(part) for part in rows]
+        for place, (part, beta, sure, state) in enumerate(
+            zip(rows, moved.split(sizes), judgement.sure.split(sizes), judgement.state.split(sizes), strict=True)
+        ):
+            entry = self.entries[place]
+            entry.beta[part] = entry.nodes.beta[part] + beta
+            entry.sure[part], entry.state[part] = sure, state
+            entry.turn += len(part)
+            if entry.turn == len(entry.order):
+                self.entries[place] = self._after(entry)
+
+    def state_dict(self) -> dict[str, Any]:
+        """What cannot be computed again."""
+        return {
+            "drawn": self.drawn,
+            "entries": [
+                {
+                    "number": entry.number,
+                    "round": entry.round,
+                    "turn": entry.turn,
+                    "before": [entry.nodes.beta, entry.nodes.confidence, entry.nodes.state],
+                    "found": [entry.beta, entry.sure, entry.state],
+                }
+                for entry in self.entries
+            ],
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on where ``state_dict`` was taken."""
+        self.drawn = state["drawn"]
+        self.entries = []
+        for part in state["entries"]:
+            source = self.sources[part["number"]]
+            cloud = lifted(source)
+            nodes = surroundings(cloud.lines, *part["before"]) if part["round"] else cloud.first_nodes
+            entry = self._entry(source, cloud, part["number"], part["round"], nodes)
+            entry.turn = part["turn"]
+            entry.beta, entry.sure, entry.state = (value.clone() for value in part["found"])
+            self.entries.append(entry)
+
+    def _fresh(self) -> Entry:
+        number = self.drawn * self.ranks + self.rank
+        self.drawn += 1
+        source = self.sources[number]
+        cloud = lifted(source)
+        return self._entry(source, cloud, number, 0, cloud.first_nodes)
+
+    def _after(self, entry: Entry) -> Entry:
+        if entry.round + 1 >= self.config.rounds:
+            return self._fresh()
+        nodes = surroundings(entry.cloud.lines, entry.beta, told(entry.sure), entry.state)
+        return self._entry(entry.source, entry.cloud, entry.number, entry.round + 1, nodes)
+
+    def _entry(self, source: CloudSource, cloud: Cloud, number: int, round: int, nodes: Nodes) -> Entry:
+        order = np.random.default_rng([self.seed, 3, number, round]).permutation(len(nodes.beta))
+        return Entry(
+            source=source,
+            cloud=cloud,
+            number=number,
+            round=round,
+            nodes=nodes,
+            candidates=find_candidates(cloud.lines, nodes, self.config),
+            order=torch.as_tensor(order),
+            turn=0,
+            beta=nodes.beta.clone(),
+            sure=nodes.beta.new_zeros(len(nodes.beta), len(RADII)),
+            state=torch.zeros_like(nodes.state),
+        )
+
+
+def _joined(samples: Sequence[Sample]) -> Sample:
+    """One batch; small clouds have fewer candidates and are padded."""
+    k = max(sample.label.shape[1] for sample in samples)
+    edges = {
+        # The side is one number a line.
+        name: torch.cat([value if name == "side" else _padded(value, k) for value in values])
+        for name, values in ((name, [getattr(sample.edges, name) for sample in samples]) for name in Edges._fields)
+    }
+    return Sample(
+        edges=Edges(**edges),
+        label=torch.cat([_padded(sample.label, k) for sample in samples]),
+        true_beta=torch.cat([sample.true_beta for sample in samples]),
+        spacing=torch.cat([sample.spacing for sample in samples]),
+    )
+
+
+def _padded(value: Float[Tensor, "lines k *rest"], k: int) -> Float[Tensor, "lines padded *rest"]:
+    missing = k - value.shape[1]
+    return torch.nn.functional.pad(value, (*(0,) * (2 * (value.dim() - 2)), 0, missing)) if missing else value
