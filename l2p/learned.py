@@ -16,11 +16,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from l2p.errors import InputError
 from l2p.features import STATE, Nodes, edges, surroundings
 from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.neighborhoods import Estimate
-from l2p.network import RADII, Judgement, LineTransformer
+from l2p.network import NOTHING, RADII, Judgement, LineTransformer
 from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
 from l2p.search import nearest_points_to_lines, nearest_points_to_points
@@ -53,6 +54,12 @@ class LearnedConfig:
     candidates: int = 64
     batch: int = 64
     peak: PeakConfig = PeakConfig(threshold=0.5, trim=0)
+
+    def __post_init__(self) -> None:
+        for name, least in (("rounds", 0), ("candidates", 1), ("batch", 1)):
+            value = getattr(self, name)
+            if value < least:
+                raise InputError(f"got {name} {value} of the learned attack; expected at least {least}")
 
 
 class Round(NamedTuple):
@@ -94,7 +101,7 @@ def judge_round(
     count = len(candidates)
     beta, state = nodes.beta.clone(), torch.zeros_like(nodes.state)
     affinity = torch.zeros_like(candidates, dtype=beta.dtype)
-    sure = beta.new_zeros(count, len(RADII))
+    sure = beta.new_full((count, len(RADII)), NOTHING)
     with progress.task("affinities", total=count) as advance:
         for begin in range(0, count, config.batch):
             rows = torch.arange(begin, min(begin + config.batch, count), device=candidates.device)
@@ -149,6 +156,10 @@ class Learned:
         self.network = network.eval()
         self.config = config or LearnedConfig()
         self.calibration = calibration or [[(1.0, 0.0)] * len(RADII)] * self.config.rounds
+        if len(self.calibration) < self.config.rounds:
+            raise InputError(
+                f"got {len(self.calibration)} calibrations for {self.config.rounds} rounds; expected as many"
+            )
         self.density = density
 
     def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:

@@ -37,7 +37,7 @@ _POOLED = 16
 #: Bounds of the logarithm of a density against the densest, and its factor: inputs of a network are about 1.
 _LOG_RANGE, _LOG_FACTOR = 15.0, 0.3
 #: Logit of what is not there.
-_NOTHING = -30.0
+NOTHING = -30.0
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,13 @@ class NetworkConfig:
     widest: float = 2.0
 
     def __post_init__(self) -> None:
-        if self.width % self.heads:
+        if self.width < 1 or self.heads < 1 or self.width % self.heads:
             raise ValueError(f"got width {self.width} and {self.heads} heads; expected a width that they divide")
+        if self.layers < 0 or not 0 < self.finest <= self.widest:
+            raise ValueError(
+                f"got {self.layers} layers and heads of {self.finest} to {self.widest} local scales; expected at least "
+                "0 layers, and widths that rise from above 0"
+            )
 
     @property
     def scales(self) -> list[float]:
@@ -139,7 +144,7 @@ class LineTransformer(nn.Module):
             token = layer(token, kernel, edges.valid)
         token = self.norm(token)
         judged = self.judge(token)
-        affinity = judged[..., 0].masked_fill(~edges.valid, _NOTHING)
+        affinity = judged[..., 0].masked_fill(~edges.valid, NOTHING)
         vote = judged[..., 1:].masked_fill(~edges.valid[..., None], -1e9)
         pooled = self.pool(_pooled(token, affinity, edges.valid))
         place = torch.cat([edges.vote, edges.vote[..., VOTES.index("foot"), None] + shift], dim=2)
@@ -181,7 +186,7 @@ class LineTransformer(nn.Module):
 def _mean_and_most(value: Float[Tensor, "lines k n"], valid: Bool[Tensor, "lines k"]) -> Float[Tensor, "lines two_n"]:
     """Mean and maximum over a line's candidates; about 0 for a line without any."""
     share = valid / valid.sum(dim=1, keepdim=True).clamp_min(1)
-    most = value.masked_fill(~valid[..., None], _NOTHING).amax(dim=1)
+    most = value.masked_fill(~valid[..., None], NOTHING).amax(dim=1)
     return torch.cat([(share[..., None] * value).sum(dim=1), most * valid.any(dim=1, keepdim=True)], dim=1)
 
 

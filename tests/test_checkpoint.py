@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,19 +14,22 @@ from safetensors.torch import load_file, save_file
 from l2p import checkpoint
 from l2p.checkpoint import Checkpoint
 from l2p.errors import InputError
-from l2p.learned import RoundConfig
-from l2p.network import LineTransformer, NetworkConfig
+from l2p.features import VOTES
+from l2p.learned import LearnedConfig
+from l2p.network import RADII, LineTransformer, NetworkConfig
 
-SIZE = NetworkConfig(width=8, layers=1, heads=2)
-CONFIG = RoundConfig(candidates=16)
+SIZE = NetworkConfig(width=8, layers=1, heads=2, finest=0.5)
+CONFIG = LearnedConfig(rounds=2, candidates=16)
+CALIBRATION = [[(1.0 + radius, -0.1 * number) for radius in RADII] for number in range(2)]
+#: Numbers that the network gives of each candidate.
+JUDGED = 1 + len(VOTES) + SIZE.heads
 
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     """A checkpoint of two rounds."""
     path = tmp_path / "model.safetensors"
-    networks = [LineTransformer(SIZE), LineTransformer(SIZE)]
-    checkpoint.save(path, Checkpoint(networks, CONFIG, [(1.0, 0.0), (0.8, -0.1)], {"seed": 3, "note": "Grüße"}))
+    checkpoint.save(path, Checkpoint(LineTransformer(SIZE), CONFIG, CALIBRATION, {"seed": 3, "note": "Grüße"}))
     return path
 
 
@@ -36,13 +40,34 @@ def header(path: Path) -> dict[str, str]:
 
 def test_what_is_saved_is_loaded(file: Path) -> None:
     learned, whole = checkpoint.load(file), checkpoint.read(file)
-    assert learned.config == CONFIG
-    assert learned.calibration == [(1.0, 0.0), (0.8, -0.1)]
-    assert [network.config for network in learned.networks] == [SIZE, SIZE]
+    assert learned.config == whole.config == CONFIG
+    assert learned.calibration == whole.calibration == CALIBRATION
+    assert learned.network.config == SIZE and not learned.network.training
     assert whole.facts == {"seed": 3, "note": "Grüße"}
-    tensors = load_file(file)
-    assert torch.equal(tensors["round1.judge.weight"], learned.networks[1].state_dict()["judge.weight"])
+    tensors, state = load_file(file), learned.network.state_dict()
+    assert tensors.keys() == state.keys() and all(torch.equal(tensors[name], state[name]) for name in state)
     assert all(isinstance(value, str) for value in header(file).values())
+
+
+def test_what_is_read_may_be_written_again(file: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again.safetensors"
+    checkpoint.save(again, checkpoint.read(file))
+    assert header(again) == header(file)
+    left, right = load_file(file), load_file(again)
+    assert left.keys() == right.keys() and all(torch.equal(left[name], right[name]) for name in left)
+
+
+@pytest.mark.parametrize("rounds", [0, 1, 2])
+def test_fewer_rounds_may_be_run(file: Path, rounds: int) -> None:
+    learned = checkpoint.load(file, rounds=rounds, density=0.5)
+    assert learned.config == replace(CONFIG, rounds=rounds) and learned.density == 0.5
+    assert learned.settings()["rounds"] == rounds
+
+
+@pytest.mark.parametrize("rounds", [-1, 3])
+def test_more_rounds_than_it_was_trained_for_are_refused(file: Path, rounds: int) -> None:
+    with pytest.raises(InputError, match=f"got {rounds} rounds; expected 0 to 2, those that .* was trained for"):
+        checkpoint.load(file, rounds=rounds)
 
 
 def test_an_existing_file_is_kept(file: Path) -> None:
@@ -95,12 +120,18 @@ def test_a_newer_format_is_refused(file: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("networks", None),
-        ("networks", "[{"),
-        ("networks", '[{"width": 8}]'),
-        ("networks", "[7]"),
-        ("rounds", '{"candidates": 16, "batch": 64, "peak": {"threshold": 0.5}}'),
+        ("network", None),
+        ("network", "{"),
+        ("network", "7"),
+        ("network", '{"width": 8}'),
+        ("network", '{"width": 8, "layers": 1, "heads": 3, "finest": 0.5, "widest": 2.0}'),
+        ("network", '{"width": "8", "layers": 1, "heads": 2, "finest": 0.5, "widest": 2.0}'),
+        ("learned", None),
+        ("learned", '{"rounds": 2, "candidates": 16, "batch": 64, "peak": {"threshold": 0.5}}'),
+        ("learned", '{"rounds": 2, "candidates": 16, "batch": 64}'),
+        ("calibration", None),
         ("calibration", "[[1.0]]"),
+        ("radii", None),
         ("facts", None),
     ],
 )
@@ -111,21 +142,28 @@ def test_a_damaged_header_is_refused(file: Path, key: str, value: str | None) ->
         checkpoint.load(file)
 
 
-@pytest.mark.parametrize(("key", "value"), [("networks", "[]"), ("calibration", "[[1.0, 0.0]]")])
-def test_rounds_and_calibrations_have_one_number(file: Path, key: str, value: str) -> None:
-    save_file(load_file(file), file, {**header(file), key: value})
-    with pytest.raises(InputError, match="expected one a round"):
+@pytest.mark.parametrize("calibration", [[], CALIBRATION[:1], [CALIBRATION[0], CALIBRATION[1][:-1]]])
+def test_each_round_and_radius_has_a_calibration(file: Path, calibration: list) -> None:
+    save_file(load_file(file), file, {**header(file), "calibration": json.dumps(calibration)})
+    with pytest.raises(InputError, match="calibrations for 2 rounds; expected one a round and radius"):
+        checkpoint.load(file)
+
+
+@pytest.mark.parametrize("radii", [[0.5, 1.0], [*RADII[:-1], 3.0]])
+def test_other_radii_are_refused(file: Path, radii: list[float]) -> None:
+    save_file(load_file(file), file, {**header(file), "radii": json.dumps(radii)})
+    with pytest.raises(InputError, match=r"knows how sure it is within .* spacings; expected .*; train it again"):
         checkpoint.load(file)
 
 
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("round0.judge.bias", None, "lacks tensor round0.judge.bias"),
-        ("round7.judge.bias", torch.zeros(3), "has an unknown tensor round7.judge.bias"),
-        ("round0.judge.bias", torch.zeros(4), "expected float32"),
-        ("round0.judge.bias", torch.zeros(3, dtype=torch.float64), "expected float32"),
-        ("round1.judge.bias", torch.tensor([0.0, torch.nan, 0.0]), "NaN or infinite in round1.judge.bias"),
+        ("judge.bias", None, "lacks tensor judge.bias"),
+        ("other.bias", torch.zeros(3), "has an unknown tensor other.bias"),
+        ("judge.bias", torch.zeros(JUDGED + 1), rf"expected float32 \({JUDGED},\)"),
+        ("judge.bias", torch.zeros(JUDGED, dtype=torch.float64), "expected float32"),
+        ("judge.bias", torch.tensor([0.0, torch.nan] + [0.0] * (JUDGED - 2)), "NaN or infinite in judge.bias"),
     ],
 )
 def test_wrong_tensors_are_refused(file: Path, name: str, value: torch.Tensor | None, message: str) -> None:

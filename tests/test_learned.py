@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
 
 import l2p
 from l2p.attack import run
-from l2p.learned import Learned, RoundConfig
+from l2p.errors import InputError
+from l2p.frame import Frame
+from l2p.learned import Learned, LearnedConfig, Round, _between, first_nodes, judge_round, spacing_ratio
 from l2p.lines import LineCloud
-from l2p.network import LineTransformer, NetworkConfig
+from l2p.network import RADII, LineTransformer, NetworkConfig
 from l2p.recovery import Recovery
+from l2p.tomography import modes, reconstruct
 
 #: Of the lines: samples on the borders of cells, and ties between candidates, fall either way.
 SHARE = 0.99
 
 
-def attack(rounds: int = 2, batch: int = 64, calibration: list[tuple[float, float]] | None = None) -> Learned:
-    with torch.random.fork_rng():
+Calibration = list[list[tuple[float, float]]]
+
+
+def attack(rounds: int = 2, batch: int = 64, calibration: Calibration | None = None, density: float = 1.0) -> Learned:
+    with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        networks = [LineTransformer(NetworkConfig(width=8, layers=1, heads=2)) for _ in range(rounds)]
-    return Learned(networks, RoundConfig(candidates=24, batch=batch), calibration)
+        network = LineTransformer(NetworkConfig(width=8, layers=1, heads=2))
+    return Learned(network, LearnedConfig(rounds=rounds, candidates=24, batch=batch), calibration, density)
 
 
 @pytest.fixture(scope="module")
@@ -92,21 +100,125 @@ def test_few_lines_work(count: int, scene_points: np.ndarray) -> None:
     assert np.isfinite(recovery.confidence).all()
 
 
+def test_a_line_that_nobody_votes_on_is_not_sure(scene_points: np.ndarray) -> None:
+    assert run(l2p.lift(scene_points[:1], seed=0), attack()).confidence[0] < 1e-9
+
+
 def test_coinciding_and_parallel_lines_work(scene_points: np.ndarray) -> None:
     same = l2p.lift(np.repeat(scene_points[:5], 8, axis=0), seed=0)
     parallel = LineCloud.through(scene_points[:40], np.repeat([[0.0, 0.6, 0.8]], 40, axis=0))
     twice = LineCloud(np.repeat(same.direction[:10], 4, axis=0), np.repeat(same.moment[:10], 4, axis=0))
     for cloud in (same, parallel, twice):
-        assert np.isfinite(run(cloud, attack()).xyz).all()
+        recovery = run(cloud, attack())
+        assert np.isfinite(recovery.xyz).all() and np.isfinite(recovery.confidence).all()
 
 
-def test_no_rounds_leave_the_tomography(lines: LineCloud) -> None:
+def test_no_rounds_leave_the_modes_of_the_tomography(lines: LineCloud) -> None:
     recovery = run(lines, attack(rounds=0))
-    assert np.isfinite(recovery.xyz).all() and recovery.info["settings"]["rounds"] == 0
+    frame = Frame.of(lines)
+    beta, _ = modes(reconstruct(frame.enter(lines)))
+    np.testing.assert_array_equal(recovery.beta, frame.leave(lines, beta))
+    assert recovery.info["settings"]["rounds"] == 0
+    assert recovery.neighbors is not None and recovery.neighbors.shape == (len(lines), 24)
+
+
+@pytest.mark.parametrize("rounds", [1, 3])
+def test_one_network_judges_every_line_in_every_round(lines: LineCloud, rounds: int) -> None:
+    method, seen = attack(rounds), []
+    method.network.register_forward_hook(lambda _, given, __: seen.append(len(given[0].valid)))
+    run(lines, method)
+    assert sum(seen) == rounds * len(lines) and max(seen) == 64
+
+
+def test_a_round_starts_where_the_one_before_ended(lines: LineCloud, first: Recovery) -> None:
+    method, frame = attack(), Frame.of(lines)
+    with torch.inference_mode():
+        inside = frame.enter(lines)
+        posterior = reconstruct(inside)
+        nodes = first_nodes(inside, posterior)
+        for _ in range(2):
+            nodes = judge_round(inside, nodes, posterior, method.network, method.config).nodes
+    np.testing.assert_array_equal(first.beta, frame.leave(lines, nodes.beta))
+    assert not np.allclose(first.beta, run(lines, attack(rounds=1)).beta, atol=1e-3)
 
 
 def test_calibration_of_the_last_round_makes_the_confidence(lines: LineCloud, first: Recovery) -> None:
-    recovery = run(lines, attack(calibration=[(9.0, 9.0), (2.0, -1.0)]))
+    known = [[(9.0, 9.0)] * len(RADII), [(2.0, -1.0)] * len(RADII)]
+    recovery = run(lines, attack(calibration=known))
     sure = np.log(first.confidence / (1 - first.confidence))
     np.testing.assert_allclose(recovery.confidence, 1 / (1 + np.exp(1 - 2 * sure)), atol=1e-4)
     np.testing.assert_array_equal(recovery.xyz, first.xyz)
+
+
+def found(sure: torch.Tensor, points: torch.Tensor, lines: LineCloud) -> Round:
+    """A round that found these points with these logits."""
+    inside = Frame.of(lines).enter(lines)
+    nodes = first_nodes(inside, reconstruct(inside))._replace(point=points)
+    nothing = torch.zeros(len(lines), 0)
+    return Round(nodes, nothing.int(), nothing, sure)
+
+
+def test_each_radius_has_a_calibration_of_its_own(lines: LineCloud) -> None:
+    """The confidence is that of radius 1; what is within a smaller radius is within it, too."""
+    sure = torch.randn(len(lines), len(RADII), generator=torch.Generator().manual_seed(0)).cumsum(dim=1)
+    points = torch.randn(len(lines), 3, generator=torch.Generator().manual_seed(1))
+    pairs = [(1.0, 0.5), (2.0, 0.0), (0.5, -2.0), (1.5, -0.3), (1.0, 9.0)]
+    method = attack(calibration=[[(7.0, 7.0)] * len(RADII), pairs])
+    upto = [a * sure[:, place] + b for place, (a, b) in enumerate(pairs)][: RADII.index(1.0) + 1]
+    expected = torch.sigmoid(torch.stack(upto, dim=1).amax(dim=1))
+    torch.testing.assert_close(method.confidence(found(sure, points, lines)), expected)
+
+
+def test_more_rounds_than_calibrations_are_refused() -> None:
+    with pytest.raises(InputError, match="got 1 calibrations for 2 rounds"):
+        attack(rounds=2, calibration=[[(1.0, 0.0)] * len(RADII)])
+
+
+@pytest.mark.parametrize("values", [{"rounds": -1}, {"candidates": 0}, {"batch": 0}])
+def test_settings_out_of_range_are_refused(values: dict[str, int]) -> None:
+    with pytest.raises(InputError, match=r"got \w+ -?\d of the learned attack; expected at least"):
+        LearnedConfig(**values)  # type: ignore[arg-type]
+
+
+def test_a_thinner_line_cloud_is_less_sure_about_the_map(lines: LineCloud, first: Recovery) -> None:
+    last = first.confidence
+    for density in (0.5, 0.1, 0.02):
+        recovery = run(lines, attack(density=density))
+        np.testing.assert_array_equal(recovery.xyz, first.xyz)
+        assert (recovery.confidence < last).all()
+        last = recovery.confidence
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_spacing_of_a_map_follows_its_density(dimensions: int) -> None:
+    """Of uniform points on a surface or in space, as the root of the density."""
+    points = torch.rand(4000, 3, generator=torch.Generator().manual_seed(0))
+    points[:, dimensions:] = 0
+    ratios = [spacing_ratio(points, density) for density in (1.0, 0.5, 0.2, 0.1)]
+    expected = [density ** (1 / dimensions) for density in (1.0, 0.5, 0.2, 0.1)]
+    np.testing.assert_allclose(ratios, expected, rtol=0.1)
+    assert ratios[0] == 1 and ratios == sorted(ratios, reverse=True)
+    assert spacing_ratio(100 * points, 0.2) == pytest.approx(ratios[2])
+
+
+def test_the_ratio_of_spacings_is_1_where_nothing_is_known() -> None:
+    assert spacing_ratio(torch.rand(1, 3), 0.5) == 1
+    assert spacing_ratio(torch.rand(20, 3), 0.9) == 1
+    assert spacing_ratio(torch.ones(100, 3), 0.1) == 1
+    assert 0 < spacing_ratio(torch.rand(100, 3), 1e-9) <= 1
+
+
+def test_between_two_radii_the_logit_is_between_theirs() -> None:
+    logit = torch.randn(50, len(RADII), generator=torch.Generator().manual_seed(0)).cummax(dim=1).values
+    for place, radius in enumerate(RADII):
+        torch.testing.assert_close(_between(logit, math.log(radius)), logit[:, place])
+    places = torch.linspace(math.log(RADII[0]), math.log(RADII[-1]), 40)
+    values = torch.stack([_between(logit, float(place)) for place in places], dim=1)
+    assert (values.diff(dim=1) >= -1e-5).all()
+
+
+def test_below_the_smallest_radius_the_logit_goes_on_falling() -> None:
+    logit = torch.arange(len(RADII)).float()[None] + torch.tensor([[0.0], [-3.0]])
+    one, other = (_between(logit, math.log(RADII[0]) - beyond) for beyond in (1.0, 2.0))
+    assert (one < logit[:, 0]).all() and (other < one).all()
+    torch.testing.assert_close(other - logit[:, 0], 2 * (one - logit[:, 0]))

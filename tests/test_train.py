@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,39 +29,48 @@ import l2p
 from l2p import checkpoint
 from l2p.attack import run as attack
 from l2p.errors import InputError
-from l2p.features import EDGE, STATE, Edges
-from l2p.network import Judgement
-from train.clouds import CloudSource, prepare
+from l2p.learned import LearnedConfig
 from train.config import CONFIGS, Settings, settings_of
-from train.judging import calibrate
-from train.losses import Sample, affinity_loss, position_loss, soft_labels
 from train.program import train_all
-from train.sources import training_sources, validation_sources
-from train.states import StateStore
+
+COMMAND = "python -m train"
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One cache for all tests: lifting is no part of what they are about."""
-    return tmp_path_factory.mktemp("cache")
-
-
-def settings(cache: Path, *overrides: str) -> Settings:
+def settings(*overrides: str, experiment: str = "debug") -> Settings:
     """The real config, composed as the command line does."""
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        return settings_of(compose("train", ["experiment=debug", f"cache={cache}", *overrides]))
+        return settings_of(compose("train", [f"experiment={experiment}", *overrides]))
+
+
+def facts(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "results.json").read_text(encoding="utf-8"))
+
+
+def figures(folder: Path) -> dict[tuple[str, str], str]:
+    """Values by step and figure; the last row of a step counts."""
+    with (folder / "figures.csv").open(newline="", encoding="utf-8") as file:
+        return {(row["step"], row["figure"]): row["value"] for row in csv.DictReader(file)}
+
+
+def assert_same_model(one: Path, other: Path) -> None:
+    """To the last bit."""
+    left, right = load_file(one / "model.safetensors"), load_file(other / "model.safetensors")
+    assert left.keys() == right.keys()
+    for name, value in left.items():
+        assert torch.equal(value, right[name]), name
+    assert facts(one)["results"] == facts(other)["results"]
 
 
 @pytest.fixture(scope="module")
-def trained(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of an uninterrupted debug run."""
     folder = tmp_path_factory.mktemp("run")
-    assert train_all(settings(cache), folder, "python -m train") == folder / "model.safetensors"
+    assert train_all(settings(), folder, COMMAND) == folder / "model.safetensors"
     return folder
 
 
 class Stop(lightning.Callback):
-    """Fails like a machine that is switched off, after a step of a round."""
+    """Fails like a machine that is switched off, after a step."""
 
     def __init__(self, step: int) -> None:
         self.step = step
@@ -68,34 +81,47 @@ class Stop(lightning.Callback):
 
 
 class Steps(lightning.Callback):
-    """Counts the steps that are done."""
+    """Counts the steps that are done, and keeps round and turn of the pool's clouds at the first of them."""
 
     count = 0
 
-    def on_train_batch_end(self, *_: object) -> None:
+    def __init__(self) -> None:
+        self.places: dict[int, tuple[int, int]] = {}
+
+    def on_train_batch_start(self, _: lightning.Trainer, module: Any, *__: object) -> None:
+        if not self.count:
+            self.places = {entry.number: (entry.round, entry.turn) for entry in module.pool.entries}
         self.count += 1
 
 
-def assert_same_model(one: Path, other: Path) -> None:
-    left, right = load_file(one), load_file(other)
-    assert left.keys() == right.keys()
-    for name, value in left.items():
-        assert torch.equal(value, right[name]), name
+# A run
 
 
 def test_a_run_leaves_a_model_its_log_and_its_facts(trained: Path) -> None:
-    facts = json.loads((trained / "results.json").read_text())
-    assert {"command", "commit", "versions", "machine", "seed", "scenes", "rounds", "config"} <= set(facts)
-    assert [part["steps"] for part in facts["rounds"]] == [8, 8]
-    assert {"median", "within", "confident_half", "calibration_error"} <= set(facts["rounds"][1]["results"][0])
-    assert checkpoint.read(trained / "model.safetensors").facts == facts
-    assert (trained / "config.yaml").is_file()
-    with (trained / "round1" / "figures.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert {"train/affinity", "train/position", "train/sure", "train/probe", "val/score", "val/median"} <= {
-        row["figure"] for row in rows
+    found = facts(trained)
+    assert {"command", "commit", "versions", "machine", "seed", "scenes", "config"} <= set(found)
+    assert found["steps"] == 16 and found["processes"] == 1 and found["minutes"] < 5
+    (result,) = found["results"]
+    assert {"scene", "fraction", "lines", "median", "within", "confident_half", "calibration_error"} == set(result)
+    assert len(result["median"]) == len(result["within"]) == 2
+    whole = checkpoint.read(trained / "model.safetensors")
+    assert whole.facts == found and len(whole.calibration) == 2
+    assert settings().resolved == found["config"]
+    assert (trained / "config.yaml").is_file() and list(trained.glob("events.*"))
+    assert not list(trained.rglob("*.part"))
+
+
+def test_figures_are_those_of_the_losses_and_of_the_validations(trained: Path) -> None:
+    found = figures(trained)
+    parts = ("rate", "affinity", "position", "sure", "probe", "median", "within")
+    assert {name for _, name in found} == {
+        *(f"train/{part}" for part in parts),
+        *("val/score", "val/median", "val/within"),
     }
-    assert list((trained / "round0").glob("events.*"))
+    assert {step for step, name in found if name == "val/median"} == {"7", "15"}
+    last = float(found["15", "val/median"])
+    assert last == pytest.approx(facts(trained)["results"][0]["median"][-1], abs=1e-4)
+    assert float(found["15", "val/score"]) == pytest.approx(np.log(last), abs=1e-4)
 
 
 def test_the_model_recovers_points(trained: Path, scene_points: np.ndarray) -> None:
@@ -104,194 +130,150 @@ def test_the_model_recovers_points(trained: Path, scene_points: np.ndarray) -> N
     assert recovery.info["settings"]["rounds"] == 2
 
 
-@pytest.mark.parametrize(("step", "saved"), [(2, 0), (4, 3), (7, 6)])
+# Interrupted
+
+
+@pytest.mark.parametrize(
+    ("step", "saved", "cloud", "place"),
+    [(2, 0, 0, (0, 0)), (4, 3, 0, (0, 192)), (10, 9, 0, (1, 256)), (14, 12, 2, (0, 256))],
+    ids=["at the start", "in the first round", "in the second round", "in the next clouds"],
+)
 def test_a_resumed_run_ends_with_the_same_weights(
-    trained: Path, cache: Path, tmp_path: Path, step: int, saved: int
+    trained: Path, tmp_path: Path, step: int, saved: int, cloud: int, place: tuple[int, int]
 ) -> None:
+    """Also if the kill falls into the middle of a cloud's round."""
     with pytest.raises(OSError, match="switched off"):
-        train_all(settings(cache), tmp_path, "python -m train", [Stop(step)])
-    assert not (tmp_path / "round0.safetensors").exists()
+        train_all(settings(), tmp_path, COMMAND, [Stop(step)])
+    assert not (tmp_path / "model.safetensors").exists()
+    assert (tmp_path / "last.ckpt").exists() == (saved > 0)
     steps = Steps()
-    train_all(settings(cache), tmp_path, "python -m train", [steps])
-    assert steps.count == (8 - saved) + 8
-    assert_same_model(trained / "model.safetensors", tmp_path / "model.safetensors")
+    train_all(settings(), tmp_path, COMMAND, [steps])
+    assert steps.count == 16 - saved and steps.places[cloud] == place
+    assert_same_model(trained, tmp_path)
+    assert figures(trained) == figures(tmp_path)
 
 
-def test_finished_rounds_are_not_trained_again(
-    trained: Path, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("config.yaml", "round0.safetensors", "round1.safetensors"):
-        (tmp_path / name).write_bytes((trained / name).read_bytes())
-    monkeypatch.setattr("train.program._train_round", None)
-    train_all(settings(cache), tmp_path, "python -m train")
-    assert_same_model(trained / "model.safetensors", tmp_path / "model.safetensors")
+def test_a_finished_run_is_not_trained_again(tmp_path: Path) -> None:
+    few = settings("steps=4", "save_every=2")
+    steps = Steps()
+    train_all(few, tmp_path, COMMAND)
+    weights, results = load_file(tmp_path / "model.safetensors"), facts(tmp_path)["results"]
+    (tmp_path / "model.safetensors").unlink()
+    train_all(few, tmp_path, COMMAND, [steps])
+    assert steps.count == 0 and facts(tmp_path)["steps"] == 4 and facts(tmp_path)["results"] == results
+    assert all(torch.equal(value, weights[name]) for name, value in load_file(tmp_path / "model.safetensors").items())
 
 
-def test_a_run_is_not_continued_with_another_config(trained: Path, cache: Path) -> None:
+def test_a_run_is_not_continued_with_another_config(trained: Path) -> None:
     with pytest.raises(InputError, match="was started with another seed; give name=ANOTHER"):
-        train_all(settings(cache, "seed=1"), trained, "python -m train")
+        train_all(settings("seed=1"), trained, COMMAND)
 
 
-def test_time_ends_a_round(cache: Path, tmp_path: Path) -> None:
-    train_all(settings(cache, "rounds=1", "steps=100000", "minutes=1e-6"), tmp_path, "python -m train")
-    assert json.loads((tmp_path / "results.json").read_text())["rounds"][0]["steps"] == 1
+def test_two_processes_train_one_network_also_after_a_kill(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    last = folder / "last.ckpt"
+    command = [sys.executable, "-m", "train", "experiment=debug", f"run={folder}"]
+    command += ["save_every=4", "trainer.devices=2", "trainer.strategy=ddp"]
+    env = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with (
+        (tmp_path / "log").open("wb") as log,
+        subprocess.Popen([*command, "steps=100000"], cwd=CONFIGS.parent, env=env, stderr=log) as training,
+    ):
+        until = time.monotonic() + 120
+        while not last.exists() and training.poll() is None and time.monotonic() < until:
+            time.sleep(0.05)
+        training.terminate()
+        assert training.wait(timeout=60) == -signal.SIGTERM, (tmp_path / "log").read_text()
+    saved = torch.load(last, weights_only=True)
+    assert [{entry["number"] % 2 for entry in pool["entries"]} for pool in saved["pools"]] == [{0}, {1}]
+    steps = saved["global_step"] + 2
+    done = subprocess.run(
+        [*command, f"steps={steps}"],
+        capture_output=True, text=True, check=False, cwd=CONFIGS.parent, env=env, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"{folder / 'model.safetensors'}\n", "one process speaks"
+    assert done.stderr.count("going on from") == 1
+    assert facts(folder)["steps"] == steps and facts(folder)["processes"] == 2
+    assert checkpoint.load(folder / "model.safetensors").config.rounds == 2
+    assert not list(folder.glob("*process*"))
 
 
-def test_a_round_that_does_not_improve_is_stopped(cache: Path, tmp_path: Path) -> None:
-    idle = ["rounds=1", "learning_rate=0.0", "validate_every=1", "patience=2"]
-    train_all(settings(cache, *idle), tmp_path, "python -m train")
-    assert json.loads((tmp_path / "results.json").read_text())["rounds"][0]["steps"] == 3
+# Ended
 
 
-@pytest.mark.parametrize("override", ["nonsense=1", "network.nonsense=1", "round.peak.nonsense=1", "steps=many"])
-def test_unknown_keys_and_other_types_are_errors(cache: Path, override: str) -> None:
+def test_time_ends_a_run(tmp_path: Path) -> None:
+    train_all(settings("steps=100000", "minutes=1e-6"), tmp_path, COMMAND)
+    assert facts(tmp_path)["steps"] == 1
+
+
+def test_a_run_that_does_not_improve_is_stopped(tmp_path: Path) -> None:
+    train_all(settings("learning_rate=0.0", "validate_every=1", "patience=2"), tmp_path, COMMAND)
+    assert facts(tmp_path)["steps"] == 3
+
+
+# Config
+
+
+@pytest.mark.parametrize("override", ["nonsense=1", "network.nonsense=1", "learned.peak.nonsense=1", "steps=many"])
+def test_unknown_keys_and_other_types_are_errors(override: str) -> None:
     with pytest.raises((HydraException, OmegaConfBaseException)):
-        settings(cache, override)
+        settings(override)
 
 
 @pytest.mark.parametrize(
     ("override", "message"),
     [
         ("simulated=0", "got no scenes and no simulated ones"),
-        ("steps=0", "got steps 0; expected at least 1"),
+        ("simulated_points=[500]", r"got simulated_points \[500\]; expected \[LEAST, MOST\]"),
+        ("simulated_points=[5,500]", r"got simulated_points \[5, 500\]; expected .*, at least 100"),
+        ("simulated_points=[500,300]", r"got simulated_points \[500, 300\]"),
         ("val=[]", "got no val scenes"),
+        ("val_fractions=[]", "got val fraction 0.0"),
+        ("val_fractions=[0.5,1.5]", r"got val fraction 1.5; expected numbers in \(0, 1\]"),
+        ("min_lines=1", "got min_lines 1; expected at least 2"),
         ("max_lines=10", "got max_lines 10; expected at least min_lines, 50"),
-        ("total_lines=10", "got total_lines 10; expected at least max_lines"),
-        ("val_fractions=[0.0]", "got val fraction 0.0"),
-        ("simulated_points=[5]", r"got simulated_points \[5\]"),
-        ("averaging=1.0", "got averaging 1.0"),
+        ("steps=0", "got steps 0; expected at least 1"),
+        ("minutes=0", "got minutes 0.0; expected more than 0, or null"),
+        ("clouds=0", "got clouds 0; expected at least 1"),
+        ("lines_per_batch=0", "got lines_per_batch 0; expected at least 1"),
+        ("learning_rate=-1.0", "got learning_rate -1.0; expected a number that is not negative"),
+        ("learning_rate=nan", "got learning_rate nan"),
+        ("weight_decay=-1.0", "got weight_decay -1.0"),
+        ("averaging=1.0", r"got averaging 1.0; expected a number in \[0, 1\)"),
+        ("validate_every=0", "got validate_every 0; expected at least 1"),
+        ("patience=0", "got patience 0; expected at least 1"),
+        ("save_every=0", "got save_every 0; expected at least 1"),
+        ("threads=0", "got threads 0; expected at least 1"),
         ("network.width=9", "got width 9 and 2 heads"),
+        ("network.heads=0", "got width 8 and 0 heads"),
+        ("learned.rounds=0", "got 0 learned.rounds; expected at least 1"),
+        ("learned.candidates=0", "got candidates 0 of the learned attack; expected at least 1"),
+        ("learned.peak.rule=none", "got peak rule 'none'"),
     ],
 )
-def test_values_out_of_range_are_refused(cache: Path, override: str, message: str) -> None:
+def test_values_out_of_range_are_refused(override: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        settings(cache, override)
+        settings(override)
 
 
-def test_a_missing_folder_is_named(cache: Path, tmp_path: Path) -> None:
+def test_defaults_are_those_of_the_package() -> None:
+    made = settings("learned={}", "network.width=8")
+    assert made.learned == LearnedConfig(rounds=2, candidates=16)
+
+
+def test_the_shipped_experiment_composes() -> None:
+    made = settings(experiment="shipped")
+    assert made.learned == LearnedConfig() and made.data.scenes and set(made.data.val).isdisjoint(made.data.scenes)
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="nowhere does not exist"):
-        train_all(settings(cache, f"scenes=[{tmp_path / 'nowhere'}]"), tmp_path / "run", "python -m train")
+        train_all(settings(f"scenes=[{tmp_path / 'nowhere'}]"), tmp_path / "run", COMMAND)
 
 
 def test_the_command_line_ends_with_a_sentence(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "train", "experiment=debug", "val=[]", f"run={tmp_path / 'run'}"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=CONFIGS.parent, timeout=120)
-    assert done.returncode == 2
+    assert done.returncode == 2 and not done.stdout
     assert done.stderr.splitlines()[-1].startswith("train: got no val scenes")
-
-
-def test_shipped_experiment_composes(cache: Path) -> None:
-    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        made = settings_of(compose("train", ["experiment=shipped"]))
-    assert made.rounds == 3 and made.round.peak == l2p.learned.RoundConfig().peak
-
-
-def test_scenes_are_lifted_thinly_and_densely(cache: Path) -> None:
-    data = settings(cache, "simulated=5", "liftings=3", "simulated_points=[300,2000]", "max_lines=1000").data
-    sources = training_sources(data)
-    assert len({(source.scene, source.seed) for source in sources}) == 15
-    lines = [source.fraction * int(source.scene.split(":")[2]) for source in sources]
-    assert min(lines) >= 49 and max(lines) <= 1001
-    assert training_sources(data) == sources
-    assert [source.fraction for source in validation_sources(data)] == [1.0]
-
-
-def test_clouds_are_drawn_until_the_total_is_reached(cache: Path) -> None:
-    few = ["simulated=5", "liftings=3", "simulated_points=[300,2000]", "max_lines=1000"]
-    everything = training_sources(settings(cache, *few).data)
-    drawn = training_sources(settings(cache, *few, "total_lines=3000").data)
-    lines = [source.fraction * int(source.scene.split(":")[2]) for source in drawn]
-    assert 2000 < sum(lines) <= 3001 and set(drawn) < set(everything)
-
-
-def test_states_are_kept_on_disk(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = StateStore(tmp_path, settings(cache).round)
-    source = CloudSource("sim:room:100:0", 1.0, 0)
-    state = store.state(source, [])
-    monkeypatch.setattr("train.states.first_nodes", None)
-    monkeypatch.setattr("train.clouds.reconstruct", None)
-    again = store.state(source, [])
-    for left, right in zip(state.nodes, again.nodes, strict=True):
-        assert torch.equal(left, right)
-    assert torch.equal(state.candidates, again.candidates)
-    assert not list(tmp_path.rglob("*.part"))
-
-
-def test_the_truth_of_a_cloud_is_that_of_its_scene(tmp_path: Path) -> None:
-    cloud = prepare(CloudSource("sim:room:200:0", 0.5, 3), tmp_path)
-    points = l2p.simulate("room", 200, 0).xyz
-    _, index = l2p.lift_indexed(points, 3, 0.5)
-    apart = torch.pdist(cloud.true_point)
-    expected = torch.pdist(torch.as_tensor(points[index], dtype=torch.float32))
-    ratio = (apart / expected).numpy()
-    np.testing.assert_allclose(ratio, np.median(ratio), rtol=1e-3)
-
-
-def one_line(votes: list[float], logits: list[float], true_beta: float, width: float = 0.2) -> tuple[Sample, Judgement]:
-    """A line whose candidates vote for the same place with both votes."""
-    k = len(votes)
-    place = torch.tensor([votes])
-    edges = Edges(
-        closest=place,
-        foot=place,
-        width=torch.full((1, k), width),
-        feature=torch.zeros(1, k, len(EDGE)),
-        state=torch.zeros(1, k, STATE),
-        valid=torch.ones(1, k, dtype=torch.bool),
-        index=torch.arange(k)[None],
-    )
-    label = torch.full((1, k), 0.5)
-    truth = torch.tensor([true_beta])
-    vote = torch.tensor(logits)[None, :, None].expand(1, k, 2)
-    judgement = Judgement(torch.zeros(1, k), vote, torch.zeros(1, STATE), torch.zeros(1))
-    return Sample(edges, label, truth, torch.zeros(1), torch.tensor(0.5)), judgement
-
-
-def test_position_loss_is_the_mixture_over_a_floor() -> None:
-    sample, judgement = one_line([0.1, 0.5], [0.0, 1.0], true_beta=0.3)
-    spread = torch.tensor([-0.3, 0.2])
-    weight, total = np.exp([0.0, 1.0]) / (2 * np.exp([0.0, 1.0]).sum()), 0.0
-    for kind in range(2):
-        for vote, share in zip((0.1, 0.5), weight, strict=True):
-            width = 0.2 * np.exp(spread[kind].item())
-            total += share / (1 + ((vote - 0.3) / width) ** 2) / (width / 0.5)
-    expected = -np.log(total + np.exp(-5.0))
-    assert position_loss(judgement, sample, spread).item() == pytest.approx(expected, rel=1e-5)
-
-
-def test_position_loss_of_a_hopeless_line_is_bounded() -> None:
-    sample, judgement = one_line([0.1], [0.0], true_beta=1e9)
-    assert position_loss(judgement, sample, torch.zeros(2)).item() == pytest.approx(5.0, abs=1e-4)
-
-
-def test_affinity_loss_leaves_padding_out() -> None:
-    sample, judgement = one_line([0.1, 0.5], [0.0, 0.0], true_beta=0.3)
-    padded = sample._replace(edges=sample.edges._replace(valid=torch.tensor([[True, False]])))
-    judgement = judgement._replace(affinity=torch.tensor([[0.0, -torch.inf]]))
-    assert affinity_loss(judgement, padded).item() == pytest.approx(np.log(2), rel=1e-6)
-
-
-def test_soft_labels_fall_at_the_local_radius() -> None:
-    label = soft_labels(torch.tensor([[0.0, 2.5, 10.0]]), torch.tensor([2.0]))
-    assert label[0, 0] > 0.99 and label[0, 1] == 0.5 and label[0, 2] < 1e-6
-
-
-def test_calibration_finds_the_probability(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Confidences that are too sure by a known factor are put right."""
-    store = StateStore(tmp_path, settings(tmp_path).round)
-    state = store.state(CloudSource("sim:room:1500:0", 1.0, 0), [])
-    logit = torch.as_tensor(rng.normal(size=len(state.candidates)))
-    inside = torch.as_tensor(rng.uniform(size=len(logit))) < torch.sigmoid(0.5 * logit + 0.3)
-    beta = state.cloud.true_beta + torch.where(inside, 0.0, 5 * state.cloud.spacing)
-    nodes = state.nodes._replace(confidence=torch.sigmoid(logit).float(), beta=beta)
-    after = type(state)(state.cloud, nodes, state.candidates)
-    assert calibrate([after]) == pytest.approx((0.5, 0.3), abs=0.15)
-
-
-@pytest.mark.parametrize("found", [0.0, 100.0])
-def test_calibration_is_finite_where_all_lines_or_none_are_found(tmp_path: Path, found: float) -> None:
-    store = StateStore(tmp_path, settings(tmp_path).round)
-    state = store.state(CloudSource("sim:room:100:0", 1.0, 0), [])
-    beta = state.cloud.true_beta + found * state.cloud.spacing
-    slope, offset = calibrate([type(state)(state.cloud, state.nodes._replace(beta=beta), state.candidates)])
-    assert slope > 0 and np.isfinite([slope, offset]).all()

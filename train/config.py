@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -13,6 +14,7 @@ from l2p.checkpoint import configured
 from l2p.errors import InputError
 from l2p.learned import LearnedConfig
 from l2p.network import NetworkConfig
+from l2p.simulator import MIN_POINTS
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 
@@ -128,10 +130,11 @@ class Settings:
 
 #: Keys that may change between two starts of one run; all others make another model.
 CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "trainer")
-_AT_LEAST_ONE = (
-    *("min_lines", "steps", "clouds", "lines_per_batch"),
-    *("validate_every", "save_every"),
-)
+#: The least that whole numbers may be; a single line has no neighbour.
+_LEAST = {
+    "min_lines": 2,
+    **dict.fromkeys(("steps", "clouds", "lines_per_batch", "validate_every", "patience", "save_every", "threads"), 1),
+}
 
 
 def settings_of(config: DictConfig) -> Settings:
@@ -168,9 +171,14 @@ def _some(kind: type, resolved: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check(resolved: dict[str, Any]) -> None:
-    for key in _AT_LEAST_ONE:
-        if resolved[key] < 1:
-            raise InputError(f"got {key} {resolved[key]}; expected at least 1")
+    for key, least in _LEAST.items():
+        if resolved[key] is not None and resolved[key] < least:
+            raise InputError(f"got {key} {resolved[key]}; expected at least {least}")
+    for key in ("learning_rate", "weight_decay"):
+        if not 0 <= resolved[key] < math.inf:
+            raise InputError(f"got {key} {resolved[key]}; expected a number that is not negative")
+    if resolved["minutes"] is not None and not resolved["minutes"] > 0:
+        raise InputError(f"got minutes {resolved['minutes']}; expected more than 0, or null")
     if not resolved["scenes"] and resolved["simulated"] < 1:
         raise InputError("got no scenes and no simulated ones; expected scenes=[FOLDER] or simulated=12")
     if not resolved["val"]:
@@ -180,8 +188,8 @@ def _check(resolved: dict[str, Any]) -> None:
     if resolved["learned"]["rounds"] < 1:
         raise InputError(f"got {resolved['learned']['rounds']} learned.rounds; expected at least 1")
     points = resolved["simulated_points"]
-    if len(points) != 2 or not 1 <= points[0] <= points[1]:
-        raise InputError(f"got simulated_points {points}; expected [LEAST, MOST]")
+    if len(points) != 2 or not MIN_POINTS <= points[0] <= points[1]:
+        raise InputError(f"got simulated_points {points}; expected [LEAST, MOST], at least {MIN_POINTS}")
     for fraction in resolved["val_fractions"] or [0.0]:
         if not 0 < fraction <= 1:
             raise InputError(f"got val fraction {fraction}; expected numbers in (0, 1]")

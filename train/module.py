@@ -143,7 +143,7 @@ class NetworkModule(lightning.LightningModule):
             score = error.median().clamp_min(1e-3).log()
             figures = torch.stack([score, error.median(), (error <= 1).float().mean()]) / len(self.held_back)
         # Shares of the mean, summed: processes may have judged different numbers of clouds.
-        named = dict(zip(_FIGURES, figures, strict=True))
+        named: dict[str, Tensor] = dict(zip(_FIGURES, figures, strict=True))
         self.log_dict(named, batch_size=1, sync_dist=True, reduce_fx="sum")
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from eval.scenes import scenes_of
+from l2p.errors import InputError
 from l2p.simulator import KINDS
 from train.clouds import CloudSource, read
 from train.config import DataSettings
@@ -39,6 +40,8 @@ class Sources:
         for number in range(data.simulated):
             kind, points = KINDS[number % len(KINDS)], _log_uniform(low, high, rng)
             scenes.append((f"sim:{kind}:{points}:{FIRST_SIMULATED + data.seed + number}", points))
+        if not scenes:
+            raise InputError(f"got {len(held_back)} val scenes, and no others to train on; expected more scenes")
         return cls(tuple(scenes), data)
 
     def __getitem__(self, number: int) -> CloudSource:
