@@ -6,15 +6,17 @@ import json
 import re
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from eval.config import Settings
-from eval.methods import Contender, Trial
+from eval.memory import measured_peak
+from eval.methods import Contender, Trial, identity_of
 from eval.provenance import commit, source_digest
 from eval.scenes import Loaded, SceneSource, load
 from l2p.errors import InputError
@@ -57,7 +59,7 @@ class Cell:
             "kind": self.scene.kind,
             "fraction": self.fraction,
             "seed": self.seed,
-            "method": {"class": type(self.contender).__name__, **asdict(self.contender)},  # type: ignore[call-overload]
+            "method": identity_of(self.contender, self.cloud_key),
             "device": self.device,
         }
 
@@ -131,13 +133,17 @@ def cells_of(settings: Settings, scenes: Sequence[SceneSource]) -> list[Cell]:
 
 def predict(cell: Cell, store: Store) -> None:
     """Run the method and write the prediction whole or not at all, after its record."""
-    trial = cell.trial()
-    began = time.perf_counter()
-    recovery = cell.contender.recover(trial)
-    seconds = time.perf_counter() - began
+    trial, identity = cell.trial(), cell.identity()
+    with measured_peak() as peak:
+        began = time.perf_counter()
+        recovery = cell.contender.recover(trial)
+        seconds = time.perf_counter() - began
+        peak_gib = peak()
     record = {
-        "identity": cell.identity(),
+        "identity": identity,
         "seconds": seconds,
+        "peak_gib": peak_gib,
+        "threads": torch.get_num_threads(),
         "info": recovery.info,
         "commit": commit(),
         "code": source_digest(),

@@ -6,10 +6,11 @@ in ``CONTENDERS``. A user's own needs no entry: ``{name: call, path: package.mod
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -18,6 +19,7 @@ from jaxtyping import Float
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from l2p import checkpoint
 from l2p.attack import run
 from l2p.errors import InputError
 from l2p.lines import LineCloud, finite_rows
@@ -54,6 +56,15 @@ class Contender(Protocol):
         """What tables call it; unique in a run."""
         ...
 
+    @property
+    def calibrated(self) -> bool:
+        """Whether its confidence is meant as the probability of lying within 1 spacing, and not only to rank."""
+        ...
+
+    def files(self, cloud: str) -> dict[str, str]:
+        """Digests of the files that it reads for a line cloud of that name: a prediction depends on them, too."""
+        ...
+
     def recover(self, trial: Trial) -> Recovery:
         """Recover the points."""
         ...
@@ -65,14 +76,45 @@ class Peer:
 
     label: str = ""
     knows_truth: ClassVar[bool] = False
+    calibrated: ClassVar[bool] = False
 
     def build(self, trial: Trial) -> Method:
         """The method for this trial."""
         raise NotImplementedError
 
+    def files(self, cloud: str) -> dict[str, str]:
+        """None."""
+        return {}
+
     def recover(self, trial: Trial) -> Recovery:
         """Build, then run."""
         return run(trial.lines, self.build(trial), device=trial.device, name=self.label)
+
+
+@dataclass(frozen=True)
+class LearnedContender(Peer):
+    """Tomography, then rounds of a trained network; it knows the density. ``checkpoint`` null: the shipped one."""
+
+    label: str = "learned"
+    checkpoint: str | None = None
+    rounds: int | None = None
+    calibrated: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        checkpoint.load(self.file, rounds=self.rounds)  # refused before any work
+
+    @property
+    def file(self) -> Path:
+        """The checkpoint."""
+        return checkpoint.shipped() if self.checkpoint is None else Path(self.checkpoint)
+
+    def build(self, trial: Trial) -> Method:
+        """The attack of the checkpoint; its confidence is about the spacing of the full cloud."""
+        return checkpoint.load(self.file, rounds=self.rounds, density=trial.fraction)
+
+    def files(self, cloud: str) -> dict[str, str]:
+        """The checkpoint's digest."""
+        return {"digest": checkpoint.digest(self.file)}
 
 
 @dataclass(frozen=True)
@@ -134,10 +176,17 @@ class CandidateOracleContender(Peer):
 
     def build(self, trial: Trial) -> Method:
         """The oracle on the candidates of the attack."""
+        return CandidateOracle(trial.truth, self._peer().build(trial), self.k, self.candidates)
+
+    def files(self, cloud: str) -> dict[str, str]:
+        """Those of the attack."""
+        return self._peer().files(cloud)
+
+    def _peer(self) -> Peer:
         attack = contender_of(self.attack)
         if not isinstance(attack, Peer):
             raise InputError(f"got attack {self.attack}; expected a method of l2p, whose estimates give candidates")
-        return CandidateOracle(trial.truth, attack.build(trial), self.k, self.candidates)
+        return attack
 
 
 @dataclass(frozen=True)
@@ -160,6 +209,7 @@ class CallContender:
     path: str
     label: str = ""
     arguments: dict[str, Any] = field(default_factory=dict)
+    calibrated: bool = False
     knows_truth: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -170,6 +220,10 @@ class CallContender:
         """Call it with the lines alone."""
         return as_recovery(imported(self.path)(trial.lines, **self.arguments), trial.lines, self.path)
 
+    def files(self, cloud: str) -> dict[str, str]:
+        """None: like that of l2p, its code may change between cells."""
+        return {}
+
 
 @dataclass(frozen=True)
 class FolderContender:
@@ -177,6 +231,7 @@ class FolderContender:
 
     path: str
     label: str = ""
+    calibrated: bool = False
     knows_truth: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -184,11 +239,20 @@ class FolderContender:
 
     def recover(self, trial: Trial) -> Recovery:
         """Read it."""
-        return as_recovery(Recovery.load(Path(self.path) / f"{trial.key}.npz"), trial.lines, self.path)
+        return as_recovery(Recovery.load(self._file(trial.key)), trial.lines, self.path)
+
+    def files(self, cloud: str) -> dict[str, str]:
+        """The recovery's digest."""
+        file = self._file(cloud)
+        return {"digest": hashlib.sha256(file.read_bytes()).hexdigest()[:12] if file.is_file() else "no file"}
+
+    def _file(self, cloud: str) -> Path:
+        return Path(self.path) / f"{cloud}.npz"
 
 
 #: Every method that a config may name.
 CONTENDERS: dict[str, type[Any]] = {
+    "learned": LearnedContender,
     "heuristic": HeuristicContender,
     "tomography": TomographyContender,
     "oracle": OracleContender,
@@ -226,6 +290,12 @@ def contender_of(entry: dict[str, Any]) -> Contender:
     except OmegaConfBaseException as error:
         sentence = str(error).splitlines()[0]
         raise InputError(f"got parameters {parameters} for method {name}: {sentence}") from error
+
+
+def identity_of(contender: Contender, cloud: str) -> dict[str, Any]:
+    """All that a prediction for that line cloud depends on, but for the code: parameters, and digests of files."""
+    parameters = {key: value for key, value in asdict(contender).items() if key != "calibrated"}  # type: ignore[call-overload]
+    return {"class": type(contender).__name__, **parameters, **contender.files(cloud)}
 
 
 def imported(path: str) -> Callable[..., Any]:

@@ -3,7 +3,7 @@
 >>> import l2p
 >>> scene = l2p.simulate("room", points=300, seed=0)
 >>> lines = l2p.lift(scene.xyz, seed=0)
->>> result = l2p.recover(lines, method="heuristic")
+>>> result = l2p.recover(lines)
 >>> result.xyz.shape
 (300, 3)
 """

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
+from os import PathLike
 from typing import Any
 
 import numpy as np
 import torch
 
+from l2p.checkpoint import load, shipped
 from l2p.errors import InputError
 from l2p.frame import Frame
 from l2p.lines import LineCloud
-from l2p.methods import DEFAULT_METHOD, METHODS
+from l2p.methods import DEFAULT_METHOD, METHODS, SETTINGS
 from l2p.neighborhoods import Heuristic, HeuristicConfig, Method, TomographicConfig, Tomography
 from l2p.progress import NO_PROGRESS, Progress
 from l2p.recovery import Recovery
@@ -21,6 +23,7 @@ def recover(
     lines: LineCloud,
     method: str = DEFAULT_METHOD,
     *,
+    checkpoint: str | PathLike[str] | None = None,
     rounds: int | None = None,
     scene_kind: str | None = None,
     density: float | None = None,
@@ -33,13 +36,20 @@ def recover(
     ----------
     lines : LineCloud
     method : str
-        ``heuristic``: the attack of Chelani et al. (CVPR 2021). ``tomography``: expectation maximisation on a
-        sparse grid, then the votes around its modes (:mod:`l2p.tomography`).
+        ``learned``: tomography, then rounds of a network that weighs the votes (:mod:`l2p.learned`).
+        ``tomography``: expectation maximisation on a sparse grid, then the votes around its modes
+        (:mod:`l2p.tomography`). ``heuristic``: the attack of Chelani et al. (CVPR 2021).
+    checkpoint : path, optional
+        Weights for ``learned``, as ``python -m train`` writes them; those installed with the package when left out.
     rounds : int, optional
-        Rounds of refinement; the method's own number when left out.
-    scene_kind, density : optional
-        What the paper's table of neighbours asks for, with ``heuristic`` only
-        (:class:`l2p.neighborhoods.HeuristicConfig`).
+        Rounds of refinement; the method's own number when left out. ``learned`` knows as many as its checkpoint was
+        trained for, and 0: the modes of the tomography alone.
+    scene_kind : str, optional
+        ``indoor`` or ``outdoor``, for the paper's table of neighbours; with ``heuristic`` only.
+    density : float, optional
+        Share of the map's points that the lines hold, in (0, 1]; 1 when left out. ``heuristic`` chooses its numbers
+        of neighbours by it; the confidence of ``learned`` is that of lying within 1 spacing of the map, which is less
+        than a spacing of the points behind the lines. ``tomography`` has no use for it.
     device : str
         A torch device.
     progress : Progress
@@ -52,33 +62,47 @@ def recover(
 
     Raises
     ------
+    FileNotFoundError
+        If there is no such checkpoint.
     InputError
-        If the line cloud is empty, the method or the device is unknown, or the method has no such setting.
+        If the line cloud is empty, the method or the device is unknown, the method has no such setting or it is out of
+        range, or the checkpoint cannot be used.
 
     Examples
     --------
     >>> import numpy as np, l2p
     >>> points = np.random.default_rng(1).normal(size=(200, 3))
-    >>> l2p.recover(l2p.lift(points, seed=0), method="heuristic").confidence.shape
+    >>> l2p.recover(l2p.lift(points, seed=0), method="tomography").confidence.shape
     (200,)
     """
-    return run(lines, named_method(method, rounds, scene_kind, density), device=device, progress=progress, name=method)
+    chosen = named_method(method, checkpoint=checkpoint, rounds=rounds, scene_kind=scene_kind, density=density)
+    return run(lines, chosen, device=device, progress=progress, name=method)
 
 
 def named_method(
-    name: str, rounds: int | None = None, scene_kind: str | None = None, density: float | None = None
+    name: str,
+    *,
+    checkpoint: str | PathLike[str] | None = None,
+    rounds: int | None = None,
+    scene_kind: str | None = None,
+    density: float | None = None,
 ) -> Method:
     """The attack of that name, ready to run; what is None is left to its configuration."""
     if name not in METHODS:
         raise InputError(f"got method {name!r}; expected one of {', '.join(METHODS)}")
-    given = {"rounds": rounds, "scene_kind": scene_kind, "density": density}
+    given = {"checkpoint": checkpoint, "rounds": rounds, "scene_kind": scene_kind, "density": density}
     chosen: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    for key in chosen:
+        owners = SETTINGS.get(key, METHODS)
+        if name not in owners:
+            which = " or ".join(repr(owner) for owner in owners)
+            raise InputError(f"got a {key.replace('_', ' ')} for method {name!r}; expected it with method {which} only")
     if name == "heuristic":
         return Heuristic(HeuristicConfig(**chosen))
-    foreign = [key.replace("_", " ") for key in chosen if key != "rounds"]
-    if foreign:
-        raise InputError(f"got a {foreign[0]} for method {name!r}; expected it with method 'heuristic' only")
-    return Tomography(TomographicConfig(**chosen))
+    if name == "tomography":
+        return Tomography(TomographicConfig(**chosen))
+    file = chosen.pop("checkpoint", None)
+    return load(shipped() if file is None else file, **chosen)
 
 
 def run(

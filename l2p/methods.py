@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 #: Every method that ``l2p.recover`` knows.
-METHODS = ("tomography", "heuristic")
+METHODS = ("learned", "tomography", "heuristic")
 
-DEFAULT_METHOD = "tomography"
+DEFAULT_METHOD = "learned"
+
+#: Settings that not every method has, and the methods that have them.
+SETTINGS = {
+    "checkpoint": ("learned",),
+    "density": ("learned", "heuristic"),
+    "scene_kind": ("heuristic",),
+}
 
 #: What the heuristic's table of neighbours distinguishes.
 SCENE_KINDS = ("indoor", "outdoor")

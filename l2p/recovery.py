@@ -19,16 +19,18 @@ class Recovery:
     xyz : (lines, 3) float64
         Recovered points, in scene units, each on its line.
     confidence : (lines,) float32
-        In [0, 1]; for the learned method a calibrated probability of lying within 1 spacing, for the classical
-        ones the share of votes near the estimate, which only ranks.
+        In [0, 1]; for the learned method a calibrated probability of lying within 1 spacing, for the others a number
+        that only ranks.
     beta : (lines,) float64
         Position along the line from its canonical foot, in scene units: ``xyz = origin + beta * direction``.
     rgb : (lines, 3) uint8 or None
         Colours carried over from the line cloud.
     neighbors : (lines, k) int64 or None
-        The neighbours the last round used, -1 where a line has fewer.
+        The neighbours that the last round used, or for the learned method the candidates that it judged; -1 where a
+        line has fewer.
     affinity : (lines, k) float32 or None
-        Weight of each neighbour in the last round, in [0, 1].
+        Weight of each neighbour in the last round, in [0, 1]; for the learned method how likely the network takes it
+        to be a true one.
     kept : (lines,) bool or None
         Points that passed ``--min-confidence`` and ``--clean``; a PLY and a COLMAP model hold these only.
     info : dict

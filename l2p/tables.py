@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -18,6 +19,12 @@ from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
 from l2p.metrics import Scores
 
+if TYPE_CHECKING:
+    from l2p.checkpoint import Checkpoint
+
+#: Columns of a wide table when stdout is no terminal, whose width would be taken for 80.
+_FILE_WIDTH = 140
+
 
 def print_scores(columns: dict[str, Scores]) -> None:
     """The figures of each column, on stdout."""
@@ -28,7 +35,7 @@ def print_scores(columns: dict[str, Scores]) -> None:
 
 
 def print_info(path: str | PathLike[str]) -> None:
-    """What a file is, on stdout.
+    """What a file is, on stdout; of a checkpoint also what it was worth on the clouds that were held back.
 
     Raises
     ------
@@ -37,9 +44,20 @@ def print_info(path: str | PathLike[str]) -> None:
     """
     kind = kind_of(path)
     table = Table("what", kind.value, title=escape(Path(path).name))
-    for what, value in _describe(path, kind):
+    tables = [table]
+    if kind is Kind.CHECKPOINT:
+        from l2p.checkpoint import digest, read  # loads torch
+
+        checkpoint = read(path)
+        rows = [*_describe_checkpoint(checkpoint), ("digest", digest(path))]
+        tables += _held_back(checkpoint.facts.get("results"))
+    else:
+        rows = _describe(path, kind)
+    for what, value in rows:
         table.add_row(what, escape(value))
-    Console(file=sys.stdout).print(table)
+    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else _FILE_WIDTH)
+    for each in tables:
+        console.print(each)
 
 
 def _score_rows(scores: Scores) -> list[tuple[str, str]]:
@@ -91,10 +109,66 @@ def _describe_recovery(path: str | PathLike[str]) -> list[tuple[str, str]]:
         ("points", str(len(recovery))),
         ("kept", str(len(recovery) if recovery.kept is None else int(recovery.kept.sum()))),
         ("method", str(recovery.info.get("method", "unknown"))),
+        *_checkpoint_of(recovery.info.get("settings")),
         ("confidence (quartiles)", f"{low:.2f} {middle:.2f} {high:.2f}"),
         *_extent(recovery.xyz),
         ("colours", _yes(recovery.rgb)),
     ]
+
+
+def _checkpoint_of(settings: Any) -> list[tuple[str, str]]:
+    """The checkpoint of a recovery, if its method has one."""
+    if not isinstance(settings, dict) or "checkpoint" not in settings:
+        return []
+    return [("checkpoint", f"{settings['checkpoint']} ({settings.get('digest', 'no digest')})")]
+
+
+def _describe_checkpoint(checkpoint: Checkpoint) -> list[tuple[str, str]]:
+    """Sizes, and what its facts say of the training; each fact may be missing."""
+    size, config, facts = checkpoint.network.config, checkpoint.config, checkpoint.facts
+    scenes = facts.get("scenes")
+    trained = {
+        "trained at commit": facts.get("commit"),
+        "seed": facts.get("seed"),
+        "training steps": facts.get("steps"),
+        "training minutes": facts.get("minutes"),
+        "training scenes": len(scenes) if isinstance(scenes, list) else None,
+    }
+    return [
+        ("parameters", str(sum(value.numel() for value in checkpoint.network.parameters()))),
+        ("width, layers, heads", f"{size.width}, {size.layers}, {size.heads}"),
+        ("rounds", str(config.rounds)),
+        ("candidates", str(config.candidates)),
+        *((what, "unknown" if value is None else str(value)) for what, value in trained.items()),
+    ]
+
+
+def _held_back(results: Any) -> list[Table]:
+    """The table of the held-back line clouds; none where the training recorded none."""
+    rows = [row for row in results if isinstance(row, dict)] if isinstance(results, list) else []
+    if not rows:
+        return []
+    columns: list[tuple[str, str, Callable[[float], str]]] = [
+        ("scene", "scene", str),
+        ("share of points", "fraction", lambda value: f"{100 * value:g}%"),
+        ("lines", "lines", str),
+        ("median error by round (spacings)", "median", lambda value: f"{value:.3f}"),
+        ("within 1 spacing by round", "within", lambda value: f"{value:.1%}"),
+        ("most confident half within 1", "confident_half", lambda value: f"{value:.1%}"),
+        ("calibration error", "calibration_error", lambda value: f"{value:.3f}"),
+    ]
+    table = Table(*(heading for heading, _, _ in columns), title="held-back line clouds, in spacings of their own")
+    for row in rows:
+        table.add_row(*(escape(_figures(row.get(name), form)) for _, name, form in columns))
+    return [table]
+
+
+def _figures(value: Any, form: Callable[[float], str]) -> str:
+    """A figure, or one for each round; what is no number stays as it is."""
+    if value is None:
+        return "-"
+    values = value if isinstance(value, list) else [value]
+    return " ".join(form(each) if isinstance(each, int | float) else str(each) for each in values)
 
 
 def _describe_truth(path: str | PathLike[str]) -> list[tuple[str, str]]:

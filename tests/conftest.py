@@ -23,6 +23,33 @@ def shared() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a checkpoint with random weights and two rounds, and with facts as the training writes them."""
+    import torch
+
+    from l2p.checkpoint import Checkpoint, save
+    from l2p.learned import LearnedConfig
+    from l2p.network import RADII, LineTransformer, NetworkConfig
+
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        network = LineTransformer(NetworkConfig(width=8, layers=1, heads=2))
+    result = {"scene": "[b]ell", "fraction": 0.05, "lines": 700, "median": [0.4125, 0.3312], "within": [0.58, 0.664]}
+    facts = {
+        "commit": "0123abcd",
+        "seed": 11,
+        "steps": 1234,
+        "minutes": 56.7,
+        "scenes": ["church", "wood", "cup"],
+        "results": [{**result, "confident_half": 0.895, "calibration_error": 0.0213}],
+    }
+    path = tmp_path_factory.mktemp("checkpoint") / "tiny.safetensors"
+    calibration = [[(1.0, 0.0)] * len(RADII)] * 2
+    save(path, Checkpoint(network, LearnedConfig(rounds=2, candidates=16), calibration, facts))
+    return path
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """A generator of its own for each test."""

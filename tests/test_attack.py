@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from pathlib import Path
 
 import jaxtyping
 import numpy as np
@@ -11,6 +13,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from l2p.attack import recover, usable_device
+from l2p.checkpoint import shipped
 from l2p.errors import InputError
 from l2p.frame import Frame
 from l2p.lifting import lift_indexed
@@ -135,14 +138,18 @@ def check_valid(lines: LineCloud, result: Recovery) -> None:
     assert result.neighbors is not None and result.affinity is not None
     assert result.neighbors.shape == result.affinity.shape
     assert (result.neighbors != np.arange(len(lines))[:, None]).all() and (result.neighbors < len(lines)).all()
+    assert ((result.affinity >= 0) & (result.affinity <= 1)).all()
+    assert (result.affinity[result.neighbors < 0] == 0).all()
 
 
-@pytest.mark.parametrize("rounds", [0, 3])
+@pytest.mark.parametrize(
+    ("method", "rounds"), [("heuristic", 0), ("heuristic", 3), ("tomography", 0), ("tomography", 2), ("learned", None)]
+)
 @pytest.mark.parametrize("count", [1, 2, 3, 10, 60])
-def test_few_lines_have_points(count, rounds):
+def test_few_lines_have_points(count, method, rounds):
     rng = np.random.default_rng(count)
     lines = LineCloud.through(rng.normal(size=(count, 3)), rng.normal(size=(count, 3)))
-    check_valid(lines, recover(lines, method="heuristic", rounds=rounds))
+    check_valid(lines, recover(lines, method=method, rounds=rounds))
 
 
 def test_one_line_is_placed_somewhere_and_not_trusted():
@@ -176,6 +183,59 @@ def test_lines_in_special_position_have_points(kind):
         assert (result.confidence == 0).all()
     if kind.startswith("through"):
         np.testing.assert_allclose(result.xyz, point, atol=1e-9)
+    check_valid(lines, recover(lines, method="learned"))
+
+
+def test_the_learned_attack_is_the_default_and_names_its_checkpoint(truth, direction):
+    lines = LineCloud.through(truth[:200], direction[:200])
+    result = recover(lines)
+    check_valid(lines, result)
+    assert result.info["method"] == "learned"
+    assert result.info["settings"]["checkpoint"] == "learned.safetensors"
+    assert result.info["settings"]["digest"] == hashlib.sha256(shipped().read_bytes()).hexdigest()[:12]
+    again = recover(lines)
+    assert again.xyz.tobytes() == result.xyz.tobytes() and again.confidence.tobytes() == result.confidence.tobytes()
+
+
+def test_another_checkpoint_is_used_and_named(truth, direction, tiny_checkpoint):
+    lines = LineCloud.through(truth[:200], direction[:200])
+    result = recover(lines, checkpoint=tiny_checkpoint)
+    settings = result.info["settings"]
+    assert (settings["checkpoint"], settings["rounds"], settings["candidates"]) == ("tiny.safetensors", 2, 16)
+    assert settings["digest"] == hashlib.sha256(tiny_checkpoint.read_bytes()).hexdigest()[:12]
+    assert str(tiny_checkpoint.parent) not in repr(result.info), "folders may name their user"
+    assert not np.array_equal(result.xyz, recover(lines, checkpoint=tiny_checkpoint, rounds=1).xyz)
+
+
+def test_every_candidate_of_the_learned_attack_is_there_once_with_its_affinity(truth, direction, tiny_checkpoint):
+    lines = LineCloud.through(truth[:200], direction[:200])
+    result = recover(lines, checkpoint=tiny_checkpoint)
+    assert result.neighbors is not None and result.affinity is not None
+    assert result.neighbors.shape == (200, 16)
+    assert all(len(set(row)) == 16 for row in result.neighbors.tolist())
+    assert len(np.unique(result.affinity)) > 1000, "of each pair its own"
+
+
+def test_the_learned_attack_starts_where_the_tomography_ends(truth, direction, tiny_checkpoint):
+    lines = LineCloud.through(truth[:200], direction[:200])
+    result = recover(lines, checkpoint=tiny_checkpoint, rounds=0)
+    np.testing.assert_array_equal(result.xyz, recover(lines, method="tomography", rounds=0).xyz)
+
+
+def test_density_lowers_the_learned_confidence_and_moves_no_point(truth, direction, tiny_checkpoint):
+    lines = LineCloud.through(truth[:200], direction[:200])
+    full, told, sparse = (recover(lines, checkpoint=tiny_checkpoint, density=share) for share in (None, 1.0, 0.1))
+    assert told.confidence.tobytes() == full.confidence.tobytes()
+    assert sparse.xyz.tobytes() == full.xyz.tobytes()
+    assert (sparse.confidence <= full.confidence).all() and sparse.confidence.mean() < full.confidence.mean()
+
+
+def test_an_installation_without_weights_says_so(truth, direction, monkeypatch, tmp_path):
+    monkeypatch.setattr("l2p.checkpoint.files", lambda package: tmp_path)
+    lines = LineCloud.through(truth[:5], direction[:5])
+    with pytest.raises(FileNotFoundError, match=r"learned\.safetensors is missing from this installation; install l2p"):
+        recover(lines)
+    assert len(recover(lines, method="tomography")) == 5
 
 
 def test_colours_and_settings_come_along(truth):
@@ -197,12 +257,28 @@ def test_colours_and_settings_come_along(truth):
         ({"method": "heuristic", "density": 0.0}, r"got density 0.0; expected a number in \(0, 1\]"),
         ({"method": "heuristic", "scene_kind": "sea"}, "got scene kind 'sea'; expected one of indoor, outdoor"),
         ({"method": "tomography", "scene_kind": "indoor"}, "got a scene kind for method 'tomography'; expected"),
-        ({"method": "tomography", "density": 0.5}, "got a density for method 'tomography'; expected"),
+        (
+            {"method": "tomography", "density": 0.5},
+            "a density for .*; .* with method 'learned' or 'heuristic'",
+        ),
+        ({"method": "tomography", "checkpoint": "a"}, "a checkpoint for method 'tomography'; .* method 'learned' only"),
+        ({"method": "heuristic", "checkpoint": "a"}, "got a checkpoint for method 'heuristic'"),
+        ({"scene_kind": "indoor"}, "got a scene kind for method 'learned'; expected it with method 'heuristic' only"),
+        ({"density": 1.5}, r"got density 1.5; expected a number in \(0, 1\]"),
+        ({"density": float("nan")}, "got density nan"),
+        ({"rounds": -1}, "got -1 rounds; expected 0 to"),
+        ({"rounds": 100}, "got 100 rounds; expected 0 to .*, those that .*learned.safetensors was trained for"),
+        ({"checkpoint": Path(__file__)}, "test_attack.py is no safetensors file"),
     ],
 )
 def test_what_cannot_be_run_is_refused(truth, direction, arguments, message):
     with pytest.raises(InputError, match=message):
         recover(LineCloud.through(truth[:5], direction[:5]), **arguments)
+
+
+def test_a_checkpoint_that_is_not_there_is_named(truth, direction, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"none\.safetensors does not exist; expected a checkpoint"):
+        recover(LineCloud.through(truth[:5], direction[:5]), checkpoint=tmp_path / "none.safetensors")
 
 
 def test_no_lines_are_refused(monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import importlib
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -17,14 +18,21 @@ from l2p.lifting import lift
 POINTS = np.random.default_rng(0).normal(size=(60, 3))
 
 
+#: The cheapest attack, where any will do.
+TOMOGRAPHY = ("--method", "tomography", "--rounds", "0")
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A folder with a good scene, its lines, truth and recovery, and every kind of bad file."""
+def folder(tmp_path: Path, tiny_checkpoint: Path) -> Path:
+    """A folder with a good scene, its lines, truth and recovery, a checkpoint, and every kind of bad file."""
     np.savez(tmp_path / "scene.npz", xyz=POINTS)
     words = ["lift", str(tmp_path / "scene.npz"), "-o", str(tmp_path / "lines.npz"), "--seed", "0"]
     assert main([*words, "--truth", str(tmp_path / "truth.npz")]) == 0
-    recover = ["recover", str(tmp_path / "lines.npz"), "-o", str(tmp_path / "recovery.npz"), "--rounds", "0"]
+    recover = ["recover", str(tmp_path / "lines.npz"), "-o", str(tmp_path / "recovery.npz"), *TOMOGRAPHY]
     assert main(recover) == 0
+    shutil.copy(tiny_checkpoint, tmp_path / "good.safetensors")
+    (tmp_path / "cut.safetensors").write_bytes(tiny_checkpoint.read_bytes()[:200])
+    (tmp_path / "foreign.safetensors").write_bytes((2).to_bytes(8, "little") + b"{}")
     _bad_lines(tmp_path)
     _bad_scenes(tmp_path)
     (tmp_path / "empty.npz").write_bytes(b"")
@@ -105,6 +113,7 @@ def _inside(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("scene.npz", "scene.npz is a scene (npz); expected a line cloud"),
         ("truth.npz", "truth.npz is a truth (npz); expected a line cloud"),
         ("recovery.npz", "recovery.npz is a recovery (npz); expected a line cloud"),
+        ("good.safetensors", "good.safetensors is a checkpoint (safetensors); expected a line cloud"),
         ("folder", "folder is a folder without points3D.bin or points3D.txt"),
         ("objects.npz", "objects.npz holds Python objects, which l2p never loads"),
         ("nan.npz", "nan.npz: got 1 line(s) with a moment that is NaN or infinite, first at line 4; remove the line"),
@@ -129,6 +138,7 @@ def test_bad_lines(folder, capfd, lines, message):
         ("empty.npz", "empty.npz is empty"),
         ("cut.npz", "cut.npz is truncated or damaged"),
         ("lines.npz", "lines.npz is a line cloud (npz); expected a scene"),
+        ("good.safetensors", "good.safetensors is a checkpoint (safetensors); expected a scene"),
         ("folder", "folder is a folder without points3D.bin or points3D.txt"),
         ("scene_nan.npz", "scene_nan.npz has 2 of 60 points that are NaN or infinite, first at row 2; remove them"),
         ("scene_none.npz", "scene_none.npz has no points"),
@@ -177,6 +187,19 @@ HEURISTIC = ("--method", "heuristic")
         ("out.npz", ["--threads", "0"], "got --threads 0; expected at least 1"),
         ("out.npz", ["--rounds", "-1"], "-1 rounds; expected 0"),
         ("out.npz", [*HEURISTIC, "--density", "0"], "density 0.0; expected a number in (0, 1]"),
+        ("out.npz", ["--density", "2"], "density 2.0; expected a number in (0, 1]"),
+        (
+            "out.npz",
+            ["--scene-kind", "indoor"],
+            "a scene kind for method 'learned'; expected it with",
+        ),
+        (
+            "out.npz",
+            ["--checkpoint", "good.safetensors", "--rounds", "3"],
+            "got 3 rounds; expected 0 to 2",
+        ),
+        ("out.npz", [*HEURISTIC, "--checkpoint", "good.safetensors"], "a checkpoint for method 'heuristic'; expected"),
+        ("out.npz", ["--checkpoint", "good.safetensors", "--json", "good.safetensors"], "got good.safetensors twice"),
         ("out.npz", ["--min-confidence", "2"], "--min-confidence 2.0; expected a number in [0, 1]"),
         ("out.npz", [*HEURISTIC, "--min-confidence", "1"], "no point has confidence 1.0; the highest is"),
         ("out.npz", ["--json", "out.npz"], "got out.npz twice"),
@@ -196,6 +219,29 @@ def test_bad_recover_flags(folder, capfd, output, flags, message):
     assert message in refused(folder, capfd, "recover", "lines.npz", "-o", output, *flags)
 
 
+@pytest.mark.parametrize(
+    ("checkpoint", "message"),
+    [
+        ("missing.safetensors", "missing.safetensors does not exist; expected a checkpoint file, *.safetensors"),
+        ("folder", "folder is a folder; expected a checkpoint file"),
+        ("empty.npz", "empty.npz is no safetensors file or is cut short"),
+        ("lines.npz", "lines.npz is no safetensors file or is cut short"),
+        ("cut.safetensors", "cut.safetensors is no safetensors file or is cut short"),
+        ("foreign.safetensors", "foreign.safetensors is a safetensors file of another program; expected a checkpoint"),
+    ],
+)
+def test_bad_checkpoints(folder, capfd, checkpoint, message):
+    assert message in refused(folder, capfd, "recover", "lines.npz", "-o", "out.npz", "--checkpoint", checkpoint)
+    if checkpoint in ("cut.safetensors", "foreign.safetensors"):
+        assert message in refused(folder, capfd, "info", checkpoint)
+
+
+def test_an_installation_without_weights_says_so(folder, capfd, monkeypatch):
+    monkeypatch.setattr("l2p.checkpoint.files", lambda package: folder)
+    sentence = refused(folder, capfd, "recover", "lines.npz", "-o", "out.npz")
+    assert "learned.safetensors is missing from this installation; install l2p again, give a checkpoint" in sentence
+
+
 def test_an_existing_output_is_refused_before_the_work(folder, capfd, monkeypatch):
     def never(*words, **flags):
         raise AssertionError("the work has started")
@@ -211,6 +257,7 @@ def test_an_existing_output_is_refused_before_the_work(folder, capfd, monkeypatc
         (["recovery.npz", "truth_other.npz"], "got 60 recovered and 30 true points"),
         (["recovery.npz", "scene.npz"], "scene.npz is a scene (npz); expected a truth npz"),
         (["lines.npz", "truth.npz"], "lines.npz is a line cloud (npz); expected a recovery npz"),
+        (["good.safetensors", "truth.npz"], "good.safetensors is a checkpoint (safetensors); expected a recovery npz"),
         (["missing.npz", "truth.npz"], "missing.npz does not exist"),
         (["recovery.npz", "truth.npz", "--json", "scene.npz"], "scene.npz exists"),
         (["recovery.npz", "truth.npz", "--json", "truth.npz"], "got truth.npz twice"),
@@ -233,8 +280,8 @@ def test_a_full_disk(folder, capfd, monkeypatch):
     monkeypatch.setattr(os, "replace", full)
     for words in (
         ("lift", "scene.npz", "-o", "out.npz", "--truth", "out.truth.npz"),
-        ("recover", "lines.npz", "-o", "out.npz", "--rounds", "0", "--json", "stats.json"),
-        ("recover", "lines.npz", "-o", "out.ply", "--rounds", "0"),
+        ("recover", "lines.npz", "-o", "out.npz", *TOMOGRAPHY, "--json", "stats.json"),
+        ("recover", "lines.npz", "-o", "out.ply", *TOMOGRAPHY),
         ("evaluate", "recovery.npz", "truth.npz", "--json", "scores.json"),
     ):
         assert "no space left on device" in refused(folder, capfd, *words)

@@ -8,6 +8,7 @@ import pytest
 import l2p
 from l2p import demo
 from l2p.cli import main
+from l2p.methods import DEFAULT_METHOD
 from l2p.scene import Scene, Truth
 
 
@@ -30,8 +31,12 @@ def test_files_agree(folder):
     assert len(scene) == len(lines) == len(recovery) == len(Scene.load(folder / demo.CLOUD)) == 400
 
 
+def test_the_default_method_is_shown(folder):
+    assert l2p.Recovery.load(folder / demo.RECOVERY).info["method"] == DEFAULT_METHOD
+
+
 def test_truth_and_model_make_a_recovered_model(folder, tmp_path):
-    words = ["recover", str(folder / demo.LINES), "-o", str(tmp_path / "model"), "--method", "heuristic"]
+    words = ["recover", str(folder / demo.LINES), "-o", str(tmp_path / "model"), "--method", "tomography"]
     assert main([*words, "--model", str(folder / demo.MODEL), "--truth", str(folder / demo.TRUTH)]) == 0
     assert len(Scene.load(tmp_path / "model")) == 400
 
@@ -52,7 +57,8 @@ def test_earlier_output_is_kept(folder):
 def test_earlier_output_is_replaced_on_demand(folder, capsys):
     demo.run(folder, points=300, seed=3, overwrite=True)
     assert len(Truth.load(folder / demo.TRUTH)) == 300
-    assert "median error" in capsys.readouterr().out
+    table = capsys.readouterr().out
+    assert "median error" in table and DEFAULT_METHOD in table
 
 
 def test_foreign_folder_is_never_replaced(tmp_path):

@@ -1,4 +1,4 @@
-"""What a file is, told from its content: a scene, a line cloud, a recovery or a truth."""
+"""What a file is, told from its content: a scene, a line cloud, a recovery, a truth or a checkpoint."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from l2p.io.npz import npz_keys
 #: Bytes that are enough for the header of a PLY file and the first records of a text file.
 _HEAD_BYTES = 65536
 
+#: Bytes of the longest header that safetensors reads.
+_MOST_TENSOR_HEADER = 100_000_000
+
 
 class Kind(Enum):
     """Every kind of file that l2p reads; the value is what people call it."""
@@ -26,6 +29,7 @@ class Kind(Enum):
     LINES_TEXT = "a line cloud (text)"
     RECOVERY = "a recovery (npz)"
     TRUTH = "a truth (npz)"
+    CHECKPOINT = "a checkpoint (safetensors)"
 
 
 SCENES = (Kind.SCENE_MODEL, Kind.SCENE_PLY, Kind.SCENE_NPZ)
@@ -65,7 +69,12 @@ def kind_of(path: str | PathLike[str]) -> Kind:
     if head.startswith(b"ply"):
         header = head.split(b"end_header")[0]
         return Kind.LINES_PLY if b"\nelement edge" in header.replace(b"\r", b"\n") else Kind.SCENE_PLY
-    return _text_kind(path, head)
+    return Kind.CHECKPOINT if _is_safetensors(head) else _text_kind(path, head)
+
+
+def _is_safetensors(head: bytes) -> bool:
+    """Whether it begins with the length of a JSON object, and that object; no text gives so small a number."""
+    return head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= _MOST_TENSOR_HEADER
 
 
 def _folder_kind(path: Path) -> Kind:

@@ -29,7 +29,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
         If it is damaged, of another kind, has no points, or has points that are not finite.
     """
     kind = kind_of(path)
-    if kind in LINE_CLOUDS:
+    if kind in LINE_CLOUDS or kind is Kind.CHECKPOINT:
         raise InputError(f"{path} is {kind.value}; expected a scene: a COLMAP model folder, a PLY or an npz with xyz")
     if kind is Kind.SCENE_MODEL:
         scene = scene_of_model(read_model(path))
