@@ -31,6 +31,16 @@ EDGE = (
     *("log_scale", "log_scale_ratio", "log_line_line", "log_point_line"),
     *("incidence", "planarity", "cut", "foot_off_plane", "closest_off_plane", "own_off_plane"),
 )
+#: The edge features by what they tell of; each family can be left out of a network to see what it is worth.
+FAMILIES = {
+    "position": ("foot", "closest", "gap"),
+    "distance": ("line_line", "point_line", "line_point", "point_point", "log_line_line", "log_point_line"),
+    "angle": ("cosine",),
+    "tomography": ("posterior_at_foot", "posterior_at_closest"),
+    "confidence": ("confidence", "own_confidence", "crowd"),
+    "scale": ("log_scale", "log_scale_ratio"),
+    "surface": ("incidence", "planarity", "cut", "foot_off_plane", "closest_off_plane", "own_off_plane"),
+}
 #: A line nearer to parallel with a surface than this (cosine to the normal) is taken to cut it at this slope.
 _GRAZING = 0.05
 #: The cut counts as no farther from the foot than this many local scales.

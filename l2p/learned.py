@@ -21,7 +21,7 @@ from l2p.features import STATE, Nodes, edges, surroundings
 from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.neighborhoods import Estimate
-from l2p.network import NOTHING, RADII, Judgement, LineTransformer
+from l2p.network import NO_VOTE, NOTHING, RADII, Judgement, LineTransformer
 from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
 from l2p.search import nearest_points_to_lines, nearest_points_to_points
@@ -48,18 +48,24 @@ class LearnedConfig:
         Lines judged at a time; the answer does not depend on it.
     peak : PeakConfig
         The weighted votes are not trimmed: the weights have done it.
+    weight : str
+        What weighs the votes: ``vote``, the network's word on each of them; ``affinity``, the square of the candidate's
+        affinity, the same for all of its votes.
     """
 
     rounds: int = 4
     candidates: int = 64
     batch: int = 64
     peak: PeakConfig = PeakConfig(threshold=0.5, trim=0)
+    weight: str = "vote"
 
     def __post_init__(self) -> None:
         for name, least in (("rounds", 0), ("candidates", 1), ("batch", 1)):
             value = getattr(self, name)
             if value < least:
                 raise InputError(f"got {name} {value} of the learned attack; expected at least {least}")
+        if self.weight not in ("vote", "affinity"):
+            raise InputError(f"got weight {self.weight!r} of the learned attack; expected 'vote' or 'affinity'")
 
 
 class Round(NamedTuple):
@@ -108,7 +114,7 @@ def judge_round(
             if candidates.shape[1]:
                 near = edges(lines, nodes, posterior, rows, candidates[rows])
                 judgement = network(near)
-                beta[rows] += weighted_peak(judgement, config.peak)
+                beta[rows] += weighted_peak(judgement, config)
                 state[rows], sure[rows] = judgement.state, judgement.sure
                 affinity[rows] = torch.sigmoid(judgement.affinity)
             advance(len(rows))
@@ -120,10 +126,14 @@ def told(sure: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:
     return torch.sigmoid(sure[:, _TOLD])
 
 
-def weighted_peak(judgement: Judgement, config: PeakConfig) -> Float[Tensor, " lines"]:
+def weighted_peak(judgement: Judgement, config: LearnedConfig) -> Float[Tensor, " lines"]:
     """The peak of the votes, weighted by the network, counted from the estimate before; 0 where there is no vote."""
-    weight = torch.softmax(judgement.vote.flatten(1), dim=1)
-    return find_peak(judgement.place.flatten(1), weight, config).beta.nan_to_num(nan=0.0)
+    if config.weight == "vote":
+        weight = torch.softmax(judgement.vote.flatten(1), dim=1)
+    else:
+        weight = torch.sigmoid(judgement.affinity).square()[..., None]
+        weight = (weight * (judgement.vote > NO_VOTE)).flatten(1)
+    return find_peak(judgement.place.flatten(1), weight, config.peak).beta.nan_to_num(nan=0.0)
 
 
 class Learned:

@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from l2p.features import EDGE, STATE, VOTES, Edges
+from l2p.features import EDGE, FAMILIES, STATE, VOTES, Edges
 
 #: Radii, in spacings of the line cloud's own points, within which the network says how likely a point is found.
 RADII = (0.125, 0.25, 0.5, 1.0, 2.0)
@@ -36,8 +36,12 @@ _FARTHEST_MEAN = 3.0
 _POOLED = 16
 #: Bounds of the logarithm of a density against the densest, and its factor: inputs of a network are about 1.
 _LOG_RANGE, _LOG_FACTOR = 15.0, 0.3
+#: What a network can do without: families of features, the numbers about the surroundings of a foot, states, votes.
+PARTS = (*FAMILIES, "density", "state", *(f"{kind}_vote" for kind in (*VOTES, "mean")))
 #: Logit of what is not there.
 NOTHING = -30.0
+#: Logit of a vote that is not there: not even a line without any other votes for it.
+NO_VOTE = -1e9
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,8 @@ class NetworkConfig:
         Attention layers.
     heads : int
         Widths s_h of the attention, spread geometrically from ``finest`` to ``widest`` local scales.
+    without : tuple of str
+        Parts that are left out, of ``PARTS``: for measuring what they are worth.
     """
 
     width: int = 64
@@ -59,6 +65,7 @@ class NetworkConfig:
     heads: int = 4
     finest: float = 0.25
     widest: float = 2.0
+    without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.heads < 1 or self.width % self.heads:
@@ -68,6 +75,10 @@ class NetworkConfig:
                 f"got {self.layers} layers and heads of {self.finest} to {self.widest} local scales; expected at least "
                 "0 layers, and widths that rise from above 0"
             )
+
+        unknown = sorted(set(self.without) - set(PARTS))
+        if unknown:
+            raise ValueError(f"got a network without {', '.join(unknown)}; expected parts of {', '.join(PARTS)}")
 
     @property
     def scales(self) -> list[float]:
@@ -135,17 +146,20 @@ class LineTransformer(nn.Module):
         self.norm = nn.LayerNorm(width)
         self.judge = nn.Linear(width, 1 + votes)
         self.pool = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, STATE + len(RADII)))
+        self.register_buffer("inputs", _kept_inputs(self.config), persistent=False)
+        self.register_buffer("votes", _kept_votes(self.config), persistent=False)
 
     def forward(self, edges: Edges) -> Judgement:
         """Judge the candidates; padding gets a logit that stands for nothing."""
         kernel, around, shift = self._kernels(edges)
-        token = self.embed(torch.cat([edges.feature, edges.state, around], dim=2))
+        inputs = torch.cat([edges.feature, edges.state, around], dim=2)
+        token = self.embed(inputs * self.inputs if self.config.without else inputs)
         for layer in self.layers:
             token = layer(token, kernel, edges.valid)
         token = self.norm(token)
         judged = self.judge(token)
         affinity = judged[..., 0].masked_fill(~edges.valid, NOTHING)
-        vote = judged[..., 1:].masked_fill(~edges.valid[..., None], -1e9)
+        vote = judged[..., 1:].masked_fill(~(edges.valid[..., None] & self.votes), NO_VOTE)
         pooled = self.pool(_pooled(token, affinity, edges.valid))
         place = torch.cat([edges.vote, edges.vote[..., VOTES.index("foot"), None] + shift], dim=2)
         return Judgement(affinity, place, vote, torch.tanh(pooled[:, :STATE]), _rising(pooled[:, STATE:]))
@@ -181,6 +195,19 @@ class LineTransformer(nn.Module):
         inputs = torch.cat([*around, edges.side[..., None] * shift], dim=2)
         inputs = inputs.nan_to_num().masked_fill(~valid[..., None], 0)
         return torch.stack(kernels, dim=1), inputs, shift * width[..., None]
+
+
+def _kept_inputs(config: NetworkConfig) -> Float[Tensor, " inputs"]:
+    """1 for each input that the network has, 0 for one that it does without."""
+    lost = {name for part in config.without for name in FAMILIES.get(part, ())}
+    kept = [name not in lost for name in EDGE]
+    kept += ["state" not in config.without] * STATE + ["density" not in config.without] * _AROUND * config.heads
+    return torch.tensor(kept, dtype=torch.float32)
+
+
+def _kept_votes(config: NetworkConfig) -> Bool[Tensor, " votes"]:
+    """Whether the network has each kind of vote."""
+    return torch.tensor([f"{kind}_vote" not in config.without for kind in (*VOTES, *["mean"] * config.heads)])
 
 
 def _mean_and_most(value: Float[Tensor, "lines k n"], valid: Bool[Tensor, "lines k"]) -> Float[Tensor, "lines two_n"]:

@@ -89,7 +89,7 @@ def test_a_line_is_found_within_the_radii_that_its_error_is_below() -> None:
     """Votes at 0.5, the truth at 0.3, in a cloud of spacing 0.5: an error of 0.4 spacings."""
     sample, judgement = one_line([0.5, 0.5], [0.0, 0.0], true_beta=0.3)
     judgement = judgement._replace(sure=torch.tensor([[-2.0, -1.0, 0.0, 1.0, 3.0]]))
-    found = losses(sample, judgement, torch.zeros(KINDS), torch.zeros(1), PeakConfig(trim=0))
+    found = losses(sample, judgement, torch.zeros(KINDS), torch.zeros(1), LearnedConfig(peak=PeakConfig(trim=0)))
     assert found.moved.item() == pytest.approx(0.5) and found.error.item() == pytest.approx(0.4)
     inside = [radius >= 0.4 for radius in RADII]
     terms = [math.log1p(math.exp(-s if yes else s)) for s, yes in zip((-2, -1, 0, 1, 3), inside, strict=True)]
@@ -107,7 +107,7 @@ def test_gradients_reach_every_weight() -> None:
     network, probe = LineTransformer(NetworkConfig(width=8, layers=2, heads=2)), torch.nn.Linear(STATE, 1)
     sample = cloud.sample(nodes, candidates, torch.arange(40))
     judgement = network(sample.edges)
-    found = losses(sample, judgement, network.log_spread, probe(judgement.state).squeeze(1), LearnedConfig().peak)
+    found = losses(sample, judgement, network.log_spread, probe(judgement.state).squeeze(1), LearnedConfig())
     found.total.backward()
     for name, part in [*network.named_parameters(), *probe.named_parameters()]:
         assert part.grad is not None and part.grad.isfinite().all() and part.grad.abs().max() > 0, name

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
@@ -30,6 +30,11 @@ def _keys_of(kind: type) -> type:
             values = {name.name: getattr(entry.default, name.name) for name in fields(of)}
             keys = _keys_of(of)  # type: ignore[arg-type]
             made.append((entry.name, keys, field(default_factory=lambda keys=keys, values=values: keys(**values))))
+        elif get_origin(of) is tuple:
+            # OmegaConf knows lists only.
+            made.append(
+                (entry.name, list[get_args(of)[0]], field(default_factory=lambda entry=entry: [*entry.default]))
+            )
         else:
             made.append((entry.name, of, field(default=entry.default)))
     return make_dataclass(f"{kind.__name__}Keys", made)

@@ -10,9 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from l2p.features import Edges
-from l2p.learned import weighted_peak
+from l2p.learned import LearnedConfig, weighted_peak
 from l2p.network import RADII, Judgement
-from l2p.peak import PeakConfig
 
 #: A candidate at this many local radii is as likely a true neighbour as not; labels fall over a fifth of that.
 BORDER, SOFTNESS = 1.25, 0.25
@@ -61,11 +60,11 @@ def losses(
     judgement: Judgement,
     log_spread: Float[Tensor, " votes"],
     probe: Float[Tensor, " lines"],
-    peak: PeakConfig,
+    config: LearnedConfig,
 ) -> Losses:
     """All terms; ``probe`` is what a linear layer reads from the states as the logarithm of the error."""
     with torch.no_grad():
-        moved = weighted_peak(judgement, peak)
+        moved = weighted_peak(judgement, config)
         error = (moved - sample.true_beta).abs() / sample.spacing
         inside = (error[:, None] <= error.new_tensor(RADII)).to(error.dtype)
         size = error.clamp(LEAST_ERROR, MOST_ERROR).log()

@@ -113,7 +113,7 @@ class NetworkModule(lightning.LightningModule):
         sample, rows = self.pool.draw(max(1, self.fit.lines_per_batch // self.fit.clouds))
         judgement = self.network(sample.edges)
         probe = self.probe(judgement.state).squeeze(1)
-        found = losses(sample, judgement, self.network.log_spread, probe, self.config.peak)
+        found = losses(sample, judgement, self.network.log_spread, probe, self.config)
         self.pool.keep(rows, found.moved, judgement)
         figures = {name: value for name, value in found._asdict().items() if name not in ("moved", "error")}
         figures |= {"median": found.error.median(), "within": (found.error <= 1).float().mean()}

@@ -15,16 +15,17 @@ from train.config import DataSettings
 
 #: Simulated scenes are numbered from here on, away from the small seeds that people try.
 FIRST_SIMULATED = 10_000
-#: Share of the liftings that take as many lines as they may.
-_FULL = 0.5
+#: Share of the liftings that take as many lines as they may; the most of all lines, since the others are small.
+_FULL = 0.2
 
 
 @dataclass(frozen=True)
 class Sources:
     """An endless list of line clouds: the n-th depends on the seed and n alone.
 
-    Scenes come in turns, in another order each time. Half of the liftings take all points of their scene, up to
-    ``max_lines``, the others log-uniformly many.
+    Scenes come in turns, in another order each time. A fifth of the liftings take all points of their scene, up to
+    ``max_lines``. The others are thinned so that the *lines* of all of them, which is what is learned from, are
+    log-uniform in the size of their cloud: clouds of n lines come in proportion to 1 / n^2.
     """
 
     scenes: tuple[tuple[str, int], ...]
@@ -51,7 +52,7 @@ class Sources:
         rng = np.random.default_rng([self.data.seed, 2, number])
         lines = most = min(points, self.data.max_lines)
         if rng.random() >= _FULL:
-            lines = _log_uniform(min(self.data.min_lines, most), most, rng)
+            lines = _thinned(min(self.data.min_lines, most), most, rng)
         return CloudSource(scene, round(lines / points, 6), int(rng.integers(1 << 31)))
 
 
@@ -75,3 +76,8 @@ def _found(entries: tuple[str, ...]) -> list[str]:
 
 def _log_uniform(low: int, high: int, rng: np.random.Generator) -> int:
     return int(np.exp(rng.uniform(np.log(low), np.log(high))).round())
+
+
+def _thinned(low: int, high: int, rng: np.random.Generator) -> int:
+    """A number with a density in proportion to its inverse square."""
+    return round(1 / rng.uniform(1 / high, 1 / low))
