@@ -17,13 +17,16 @@ from l2p.errors import InputError
 
 @hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name="eval")
 def main(config: DictConfig) -> None:
-    """Run what the config asks for; 2 is the exit code of a user's error, 1 of cells that failed."""
+    """Run what the config asks for; exit code 2 is a user's error, 1 cells that failed, 130 Ctrl-C."""
     command = shlex.join(["python", "-m", "eval", *HydraConfig.get().overrides.task])
     try:
         failed = evaluate_all(settings_of(config), Path(HydraConfig.get().runtime.output_dir), command)
     except (InputError, FileNotFoundError) as error:
         print(f"eval: {error}", file=sys.stderr)
         sys.exit(2)
+    except KeyboardInterrupt:
+        print("eval: interrupted; the same command continues the run", file=sys.stderr)
+        sys.exit(130)
     if failed:
         print(f"eval: {failed} cell(s) failed, see the log; the same command tries them again", file=sys.stderr)
         sys.exit(1)

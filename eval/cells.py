@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int
 
 from eval.config import Settings
 from eval.memory import measured_peak
@@ -92,6 +95,34 @@ class Store:
         """Whether the cell is predicted."""
         return self.prediction(cell).is_file() and self.record(cell).is_file()
 
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other runs from predicting here, and take away what one that was killed left behind half-written.
+
+        Raises
+        ------
+        InputError
+            If another run predicts here.
+        """
+        with open(self.folder / "lock", "w", encoding="ascii") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(
+                    f"another run is at work in {self.folder}; wait for it, or choose another folder (name=...); "
+                    "steps=[score] shows what it has so far"
+                ) from None
+            self._sweep()
+            try:
+                yield
+            finally:
+                self._sweep()
+
+    def _sweep(self) -> None:
+        for folder in (self.folder, self.predictions, self.scores):
+            for left in folder.glob(".l2p-*.tmp"):
+                left.unlink(missing_ok=True)
+
     def check(self, cells: Sequence[Cell]) -> None:
         """Refuse to mix: every prediction that is there must have been made with the settings of its cell."""
         for cell in cells:
@@ -164,10 +195,19 @@ def read_json(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def truth_of(cell: Cell) -> tuple[Loaded, np.ndarray]:
-    """The scene, and the true points of the cell in the order of its lines."""
+class Behind(NamedTuple):
+    """What is behind the lines of a cell, in their order: the scene, its points, and their rows in the scene."""
+
+    scene: Loaded
+    truth: Float[np.ndarray, "lines 3"]
+    index: Int[np.ndarray, " lines"]
+
+
+def truth_of(cell: Cell) -> Behind:
+    """What is behind the lines of a cell."""
     scene = load(cell.scene.source)
-    return scene, scene.xyz[lift_indexed(scene.xyz, cell.seed, cell.fraction)[1]]
+    _, index = lift_indexed(scene.xyz, cell.seed, cell.fraction)
+    return Behind(scene, scene.xyz[index], index)
 
 
 def _compact(recovery: Recovery) -> Recovery:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,17 @@ CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 
 #: What is done, in this order.
 STEPS = ("predict", "score")
+#: What the points of a picture are coloured by.
+COLORS = ("error", "rgb")
+
+
+@dataclass
+class PictureKeys:
+    """The keys of ``pictures`` there."""
+
+    scenes: list[str] = MISSING
+    fractions: list[float] | None = None
+    color: str = MISSING
 
 
 @dataclass
@@ -31,18 +41,29 @@ class EvalConfig:
     fractions: list[float] = MISSING
     seeds: list[int] = MISSING
     steps: list[str] = MISSING
-    workers: int = MISSING
+    processes: int | None = None
     threads: int | None = None
     device: str = MISSING
+    pictures: PictureKeys = field(default_factory=PictureKeys)
     docs: str | None = None
+    update: list[str] = MISSING
 
 
 ConfigStore.instance().store(name="eval_schema", node=EvalConfig)
 
 
 @dataclass(frozen=True)
+class Pictures:
+    """Which scenes are drawn, at which fractions, and what the colours of the points say: ``error`` or ``rgb``."""
+
+    scenes: tuple[str, ...]
+    fractions: tuple[float, ...]
+    color: str
+
+
+@dataclass(frozen=True)
 class Settings:
-    """A checked config."""
+    """A checked config; None of ``processes`` and ``threads`` is left to the machine."""
 
     name: str
     scenes: tuple[str, ...]
@@ -51,10 +72,12 @@ class Settings:
     fractions: tuple[float, ...]
     seeds: tuple[int, ...]
     steps: tuple[str, ...]
-    workers: int
-    threads: int
+    processes: int | None
+    threads: int | None
     device: str
+    pictures: Pictures
     docs: Path | None
+    update: tuple[Path, ...]
     resolved: dict[str, Any]
 
 
@@ -76,11 +99,9 @@ def settings_of(config: DictConfig) -> Settings:
         _check_at_least("seed", seed, 0)
     if set(resolved["steps"]) - set(STEPS):
         raise InputError(f"got steps {resolved['steps']}; expected some of {', '.join(STEPS)}")
-    _check_at_least("workers", resolved["workers"], 1)
-    threads = resolved["threads"]
-    if threads is None:
-        threads = max(1, (os.cpu_count() or 1) // resolved["workers"])
-    _check_at_least("threads", threads, 1)
+    for key in ("processes", "threads"):
+        if resolved[key] is not None:
+            _check_at_least(key, resolved[key], 1)
     return Settings(
         name=resolved["name"],
         scenes=tuple(resolved["scenes"]),
@@ -89,12 +110,31 @@ def settings_of(config: DictConfig) -> Settings:
         fractions=tuple(resolved["fractions"]),
         seeds=tuple(resolved["seeds"]),
         steps=tuple(resolved["steps"]),
-        workers=resolved["workers"],
-        threads=threads,
+        processes=resolved["processes"],
+        threads=resolved["threads"],
         device=resolved["device"],
+        pictures=_pictures(resolved["pictures"], resolved["fractions"]),
         docs=None if resolved["docs"] is None else Path(resolved["docs"]),
+        update=tuple(_there(Path(file)) for file in resolved["update"]),
         resolved=resolved,
     )
+
+
+def _pictures(given: dict[str, Any], fractions: list[float]) -> Pictures:
+    """The pictures that are asked for; at the largest fraction unless others are named."""
+    if given["color"] not in COLORS:
+        raise InputError(f"got color {given['color']!r} of the pictures; expected {' or '.join(COLORS)}")
+    chosen = [max(fractions)] if given["fractions"] is None else given["fractions"]
+    for fraction in chosen:
+        if fraction not in fractions:
+            raise InputError(f"got fraction {fraction} of the pictures; expected some of the run's {fractions}")
+    return Pictures(tuple(given["scenes"]), tuple(chosen), given["color"])
+
+
+def _there(file: Path) -> Path:
+    if not file.is_file():
+        raise FileNotFoundError(f"{file} does not exist; expected a Markdown file to update")
+    return file
 
 
 def _check_list(key: str, values: list[Any]) -> None:

@@ -1,63 +1,115 @@
-"""The figures of a run: distribution of the error by fraction, and accuracy against density."""
+"""The figures of a run: distributions of the error, accuracy against density, worth of confidence and affinity.
+
+Curves are means over scenes, each with equal weight, and over seeds.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+import io
+from collections.abc import Callable, Collection, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from eval.scoring import THRESHOLDS, Row
+from eval.curves import SHARES, THRESHOLDS, pooled_reliability
+from eval.methods import PAPER_KIND
+from eval.scoring import Row
 from eval.tables import MEDIAN, SHARE, Column, distinct, pool_seed
-from l2p.io.atomic import atomic_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
+class Drawing(NamedTuple):
+    """An image file: its name, what it shows, its bytes."""
+
+    name: str
+    caption: str
+    content: bytes
+
+
 #: Errors outside these say little: below lies the noise of the map, above any place in the scene.
 SHOWN = (0.02, 30)
-DPI = 130
+#: A method has its colour and dashes in every panel.
+Styles = dict[str, dict[str, Any]]
+#: Same file for the same rows; text as outlines, so that it looks the same everywhere.
+RC: Any = {
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "legend.frameon": False,
+    "svg.hashsalt": "l2p",
+    "svg.fonttype": "path",
+}
 
 
-def draw_figures(rows: Sequence[Row], knowing: Collection[str], folder: Path, prefix: str) -> list[Path]:
-    """Write all figures into ``folder``; methods in ``knowing`` look at the truth and are dashed."""
+def draw_figures(rows: Sequence[Row], knowing: Collection[str]) -> list[Drawing]:
+    """The figures that the rows have curves for; methods in ``knowing`` see the truth: dashed."""
     import matplotlib
 
     styles = _styles(distinct(rows, "method"), knowing)
     drawn = []
     # Agg needs no screen; the caller's backend is left as it is.
-    with matplotlib.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "legend.frameon": False}):
-        for name, draw in (("error-cdf", _cdf_figure), ("density", _density_figure)):
-            path = folder / f"{prefix}{name}.png"
-            with atomic_file(path, overwrite=True) as file:
-                draw(rows, styles).savefig(file, format="png", dpi=DPI, metadata={"Software": None})
-            drawn.append(path)
+    with matplotlib.rc_context(RC):
+        for name, caption, draw in FIGURES:
+            figure = draw(rows, styles)
+            if figure is None:
+                continue
+            file = io.BytesIO()
+            figure.savefig(file, format="svg", metadata={"Date": None})
+            drawn.append(Drawing(f"{name}.svg", caption, file.getvalue()))
     return drawn
 
 
-def _cdf_figure(rows: Sequence[Row], styles: dict[str, Any]) -> Figure:
-    """Share of points within an error, mean over scenes and seeds: a panel a fraction, a curve a method."""
-    fractions = sorted({row["fraction"] for row in rows}, reverse=True)
-    columns = min(3, len(fractions))
-    figure, panels = _panels(-(-len(fractions) // columns), columns)
-    for axes, fraction in zip(panels, fractions, strict=False):
-        for method, style in styles.items():
-            curves = [row["within"] for row in rows if row["fraction"] == fraction and row["method"] == method]
+def _by_fraction(rows: Sequence[Row], styles: Styles) -> Figure:
+    parts = [
+        (f"{100 * fraction:g} % of the points", [row for row in rows if row["fraction"] == fraction])
+        for fraction in _fractions(rows)
+    ]
+    return _distributions(parts, styles, "method")
+
+
+def _by_kind(rows: Sequence[Row], styles: Styles) -> Figure | None:
+    """At the largest fraction."""
+    top = _fractions(rows)[0]
+    rows = [row for row in rows if row["fraction"] == top]
+    kinds = [kind for kind in PAPER_KIND if any(row["kind"] == kind for row in rows)]
+    if len(kinds) < 2:
+        return None
+    parts = [(f"{kind}, {100 * top:g} %", [row for row in rows if row["kind"] == kind]) for kind in kinds]
+    return _distributions(parts, styles, "method")
+
+
+def _by_sparsity(rows: Sequence[Row], styles: Styles) -> Figure | None:
+    from matplotlib import colormaps
+
+    fractions = _fractions(rows)
+    if len(fractions) < 2:
+        return None
+    shades = colormaps["viridis"](np.linspace(0, 0.85, len(fractions)))
+    densities = {fraction: {"color": shade} for fraction, shade in zip(fractions, shades, strict=True)}
+    parts = [(method, [row for row in rows if row["method"] == method]) for method in styles]
+    return _distributions(parts, densities, "fraction")
+
+
+def _distributions(parts: Sequence[tuple[str, Sequence[Row]]], styles: dict[Any, Any], column: str) -> Figure:
+    """Share of points within an error: a panel a part, a curve for each value of a column."""
+    figure, panels = _panels(len(parts))
+    for axes, (title, own) in zip(panels, parts, strict=True):
+        for value, style in styles.items():
+            curves = [row["curves"]["within"] for row in own if row[column] == value]
             if curves:
-                axes.plot(THRESHOLDS, np.mean(curves, axis=0), label=method, **style)
-        axes.set(xscale="log", xlim=SHOWN, ylim=(0, 1), title=f"{100 * fraction:g} % of the points")
+                label = f"{100 * value:g} % of the points" if column == "fraction" else value
+                axes.plot(THRESHOLDS, np.mean(curves, axis=0), label=label, **style)
+        axes.set(xscale="log", xlim=SHOWN, ylim=(0, 1), title=title)
         axes.set(xlabel="error (spacings)", ylabel="share of points within")
-    for axes in panels[len(fractions) :]:
-        axes.set_axis_off()
-    _legend(figure, panels[0], len(styles))
+    _legend(figure, panels)
     return figure
 
 
-def _density_figure(rows: Sequence[Row], styles: dict[str, Any]) -> Figure:
-    """Median error and share within 1 spacing against the fraction lifted."""
-    figure, panels = _panels(1, 2)
+def _density(rows: Sequence[Row], styles: Styles) -> Figure:
+    figure, panels = _panels(2)
     for axes, column in zip(panels, (MEDIAN, SHARE), strict=True):
         for method, style in styles.items():
             percent, value = _against_fraction([row for row in rows if row["method"] == method], column)
@@ -68,7 +120,88 @@ def _density_figure(rows: Sequence[Row], styles: dict[str, Any]) -> Figure:
         axes.minorticks_off()
     panels[0].set(ylim=(0, None))
     panels[1].set(ylim=(0, 1))
-    _legend(figure, panels[0], len(styles))
+    _legend(figure, panels)
+    return figure
+
+
+def _risk_coverage(rows: Sequence[Row], styles: Styles) -> Figure | None:
+    def draw(axes: Axes, own: Sequence[Row], style: dict[str, Any]) -> None:
+        axes.plot(SHARES, np.mean([row["curves"]["risk"] for row in own], axis=0), **style)
+
+    figure = _each_fraction(rows, styles, "risk", draw)
+    if figure is not None:
+        for axes in figure.axes:
+            axes.set(xlim=(0, 1), ylim=(0, None))
+            axes.set(xlabel="share of points kept, most confident first", ylabel="share of these beyond 1 spacing")
+    return figure
+
+
+def _calibration(rows: Sequence[Row], styles: Styles) -> Figure | None:
+    def draw(axes: Axes, own: Sequence[Row], style: dict[str, Any]) -> None:
+        diagram = pooled_reliability([row["curves"]["reliability"] for row in own])
+        axes.plot(diagram.confidence, diagram.inside, marker="o", markersize=3, **style)
+
+    figure = _each_fraction(rows, styles, "reliability", draw)
+    if figure is not None:
+        for axes in figure.axes:
+            axes.plot([0, 1], [0, 1], color="0.6", linewidth=0.8, zorder=0)
+            axes.set(xlim=(0, 1), ylim=(0, 1))
+            axes.set(xlabel="confidence", ylabel="share of points within 1 spacing")
+    return figure
+
+
+def _neighbors(rows: Sequence[Row], styles: Styles) -> Figure | None:
+    def draw(axes: Axes, own: Sequence[Row], style: dict[str, Any]) -> None:
+        precision = np.mean([row["curves"]["neighbors"] for row in own], axis=0)
+        # As many neighbours are used as there are true ones.
+        axes.plot(SHARES * precision, precision, marker="o", markevery=[-1], markersize=4, clip_on=False, **style)
+
+    figure = _each_fraction(rows, styles, "neighbors", draw)
+    if figure is not None:
+        for axes in figure.axes:
+            axes.set(xlim=(0, 1), ylim=(0, 1.02))
+            axes.set(xlabel="recall of the true neighbours", ylabel="precision")
+    return figure
+
+
+class _Drawn(NamedTuple):
+    """A figure: name of its file, caption, and what draws it, which gives None for rows without such curves."""
+
+    name: str
+    caption: str
+    draw: Callable[[Sequence[Row], Styles], Any]
+
+
+FIGURES = (
+    _Drawn("error_cdf", "Share of points within an error at each density; dashed methods know the truth", _by_fraction),
+    _Drawn("error_kinds", "Share of points within an error, for each kind of scene", _by_kind),
+    _Drawn("error_sparsity", "Share of points within an error, for each method from dense to sparse", _by_sparsity),
+    _Drawn("density", "Median error and share within 1 spacing against the share of the points", _density),
+    _Drawn("risk_coverage", "How wrong the points are that a method is most confident of", _risk_coverage),
+    _Drawn("calibration", "What a calibrated confidence says, and what holds: the diagonal is right", _calibration),
+    _Drawn(
+        "neighbors",
+        "Precision and recall of neighbours, those of the greatest affinity first; the dot is all that are used",
+        _neighbors,
+    ),
+)
+
+
+def _each_fraction(
+    rows: Sequence[Row], styles: Styles, curve: str, draw: Callable[[Axes, Sequence[Row], dict[str, Any]], None]
+) -> Figure | None:
+    """A panel a fraction and a curve for each method that has one."""
+    rows = [row for row in rows if row["curves"][curve] is not None]
+    if not rows:
+        return None
+    figure, panels = _panels(len(_fractions(rows)))
+    for axes, fraction in zip(panels, _fractions(rows), strict=True):
+        for method, style in styles.items():
+            own = [row for row in rows if row["fraction"] == fraction and row["method"] == method]
+            if own:
+                draw(axes, own, {"label": method, **style})
+        axes.set(title=f"{100 * fraction:g} % of the points")
+    _legend(figure, panels)
     return figure
 
 
@@ -83,23 +216,34 @@ def _against_fraction(rows: Sequence[Row], column: Column) -> tuple[list[float],
     return [100 * fraction for fraction in fractions], values
 
 
-def _styles(methods: Sequence[str], knowing: Collection[str]) -> dict[str, Any]:
+def _fractions(rows: Sequence[Row]) -> list[float]:
+    return sorted({row["fraction"] for row in rows}, reverse=True)
+
+
+def _styles(methods: Sequence[str], knowing: Collection[str]) -> Styles:
     return {
         method: {"color": f"C{i % 10}", "linestyle": "--" if method in knowing else "-"}
         for i, method in enumerate(methods)
     }
 
 
-def _panels(rows: int, columns: int) -> tuple[Figure, list[Axes]]:
-    """A figure of its own, outside pyplot's state, that draws with Agg."""
+def _panels(count: int) -> tuple[Figure, list[Axes]]:
+    """A figure of its own, outside pyplot's state, that draws with Agg; at most three panels side by side."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(3.6 * columns, 2.8 * rows), layout="constrained")
+    columns = count if count < 4 else 2 if count == 4 else 3
+    rows = -(-count // columns)
+    figure = Figure(figsize=(3.6 * columns, 2.9 * rows), layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, list(figure.subplots(rows, columns, squeeze=False).flat)
+    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for axes in panels[count:]:
+        axes.remove()
+    return figure, panels[:count]
 
 
-def _legend(figure: Figure, axes: Axes, count: int) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(4, count))
+def _legend(figure: Figure, panels: Sequence[Axes]) -> None:
+    """One legend of all that any panel shows."""
+    found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    rows = -(-len(found) // (2 if len(panels) == 1 else 4))
+    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=-(-len(found) // rows))

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import logging
-import multiprocessing
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,14 @@ import yaml
 from eval.cells import Cell, Store, cells_of, predict
 from eval.config import Settings
 from eval.figures import draw_figures
+from eval.memory import cores, fitting
+from eval.parallel import outcomes
+from eval.pictures import check_pictures, draw_pictures
 from eval.provenance import commit, machine, source_digest, versions
 from eval.scenes import load, scenes_of
 from eval.scoring import Row, score, write_results
-from eval.tables import document, print_tables
-from l2p.errors import InputError
+from eval.tables import Image, Table, document, print_tables, tables, updated
+from eval.targets import References, target_table
 from l2p.io.atomic import atomic_file
 from l2p.progress import terminal_progress
 
@@ -33,65 +35,57 @@ def evaluate_all(settings: Settings, folder: Path, command: str) -> int:
     Raises
     ------
     FileNotFoundError, InputError
-        If a scene is not there, or predictions in the folder were made with other settings.
+        If a scene is not there, predictions in the folder were made with other settings, or another run is at work
+        there.
     """
     folder.mkdir(parents=True, exist_ok=True)
     store = Store(folder)
     load.cache_clear()  # files may have changed since this process last ran
     about = _about(settings, command)  # before the long part, in which sources may change
-    with _threads(settings.threads):
-        cells = cells_of(settings, scenes_of(settings.scenes, settings.kinds))
+    scenes = scenes_of(settings.scenes, settings.kinds)
+    check_pictures(settings.pictures, scenes)
+    cells = cells_of(settings, scenes)
+    failed = 0
+    predicting = "predict" in settings.steps
+    with store.locked() if predicting else nullcontext():
         store.check(cells)
         _write_text(folder / "config.yaml", yaml.safe_dump(settings.resolved, sort_keys=False, allow_unicode=True))
-        failed = _predict_all(cells, store, settings) if "predict" in settings.steps else 0
+        if predicting:
+            failed = _predict_all(cells, store, settings)
         if "score" in settings.steps:
-            _show(_score_all(cells, store, about), settings, folder, about)
+            _show(_score_all(cells, store, about), cells, store, settings, about)
     return failed
 
 
 def _predict_all(cells: Sequence[Cell], store: Store, settings: Settings) -> int:
     """Predict what is not predicted; a cell that fails is logged and does not stop the others."""
     open_cells = [cell for cell in cells if not store.done(cell)]
-    log.info("%d of %d cells to predict, into %s", len(open_cells), len(cells), store.predictions)
+    processes, threads = plan(settings, open_cells)
+    log.info(
+        "%d of %d cells to predict, into %s; processes: %d, threads of each: %d",
+        *(len(open_cells), len(cells), store.predictions, processes, threads),
+    )
     failed = 0
-    with terminal_progress().task("predictions", total=len(open_cells)) as advance:
-        for cell, error in _outcomes(open_cells, store, settings):
-            if error is not None:
+    with (
+        _threads(threads),
+        terminal_progress().task("predictions", total=len(open_cells)) as advance,
+        closing(outcomes(partial(predict, store=store), open_cells, processes, threads)) as ended,
+    ):
+        for cell, failure in ended:
+            if failure is not None:
                 failed += 1
-                # An InputError says all in one sentence; of anything else the place matters.
-                log.error("%s failed: %s", cell.key, error, exc_info=None if isinstance(error, InputError) else error)
+                log.error("%s failed: %s", cell.key, "\n".join(filter(None, (failure.sentence, failure.place))))
             advance(1)
     return failed
 
 
-def _outcomes(cells: Sequence[Cell], store: Store, settings: Settings) -> Iterator[tuple[Cell, Exception | None]]:
-    """Predict the cells, in this process or in several; each with the exception that ended it, if one did."""
-    workers = min(settings.workers, len(cells))
-    if workers <= 1:
-        for cell in cells:
-            yield cell, _attempt(cell, store)
-        return
-    # Not forked: torch's threads do not survive that.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, torch.set_num_threads, (settings.threads,)) as pool:
-        futures: dict[Future[None], Cell] = {pool.submit(predict, cell, store): cell for cell in cells}
-        try:
-            for future in as_completed(futures):
-                error = future.exception()
-                if error is not None and not isinstance(error, Exception):
-                    raise error
-                yield futures[future], error
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-def _attempt(cell: Cell, store: Store) -> Exception | None:
-    try:
-        predict(cell, store)
-    except Exception as error:  # a user's method may raise anything, and the other cells are still wanted
-        return error
-    return None
+def plan(settings: Settings, cells: Sequence[Cell]) -> tuple[int, int]:
+    """Processes, and threads of each: what the settings say, the rest as cores and free memory allow."""
+    processes, threads = settings.processes, settings.threads
+    if processes is None:
+        lines = [cell.fraction * len(load(cell.scene.source).xyz) for cell in cells]
+        processes = fitting(lines, most=max(1, cores() // (threads or 1)))
+    return processes, threads or max(1, cores() // processes)
 
 
 def _score_all(cells: Sequence[Cell], store: Store, about: dict[str, Any]) -> list[Row]:
@@ -109,21 +103,41 @@ def _score_all(cells: Sequence[Cell], store: Store, about: dict[str, Any]) -> li
     return rows
 
 
-def _show(rows: list[Row], settings: Settings, folder: Path, about: dict[str, Any]) -> None:
-    """Tables on stdout and in results.md, figures, and both in the docs where asked for."""
+def _show(rows: list[Row], cells: Sequence[Cell], store: Store, settings: Settings, about: dict[str, Any]) -> None:
+    """Tables on stdout and in results.md, figures and pictures; all of it in the docs where asked for."""
     if not rows:
         log.warning("nothing is predicted yet: no tables")
         return
-    knowing = [contender.label for contender in settings.methods if contender.knows_truth]
-    print_tables(rows)
-    places = [(folder / "results.md", folder / "figures", "")]
+    references = References.of(settings.methods)
+    found = tables(rows)
+    targets = target_table(rows, references)
+    if targets is not None:
+        found.insert(1, targets)
+    print_tables(found)
+    drawings = [*draw_figures(rows, references.knowing), *draw_pictures(cells, rows, store, settings.pictures)]
+    places = [(store.folder / "results.md", "figures", "")]
     if settings.docs is not None:
-        places.append((settings.docs, settings.docs.parent / "images", f"{settings.docs.stem}-"))
-    for text, images, prefix in places:
+        places.append((settings.docs, "images", f"{settings.docs.stem}-"))
+    for page, below, prefix in places:
+        images = page.parent / below
         images.mkdir(parents=True, exist_ok=True)
-        figures = draw_figures(rows, knowing, images, prefix)
-        _write_text(text, document(rows, about, [figure.relative_to(text.parent).as_posix() for figure in figures]))
-    log.info("results are in %s", folder)
+        shown = [Image(images / f"{prefix}{drawing.name}", drawing.caption) for drawing in drawings]
+        for image, drawing in zip(shown, drawings, strict=True):
+            _write(image.path, drawing.content)
+        _write_text(page, document(rows, found, about, shown, page.parent))
+    _update(settings, found)
+    log.info("results are in %s", store.folder)
+
+
+def _update(settings: Settings, found: Sequence[Table]) -> None:
+    """Put the tables into the files that have a place for them."""
+    for file in settings.update:
+        before = file.read_text(encoding="utf-8")
+        after = updated(before, settings.name, found)
+        if after is None:
+            log.warning("%s has no line <!-- eval:%s:TABLE -->: nothing to update there", file, settings.name)
+        elif after != before:
+            _write_text(file, after)
 
 
 def _about(settings: Settings, command: str) -> dict[str, Any]:
@@ -149,5 +163,9 @@ def _threads(count: int) -> Iterator[None]:
 
 
 def _write_text(path: Path, text: str) -> None:
+    _write(path, text.encode("utf-8"))
+
+
+def _write(path: Path, content: bytes) -> None:
     with atomic_file(path, overwrite=True) as file:
-        file.write(text.encode("utf-8"))
+        file.write(content)

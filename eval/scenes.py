@@ -70,13 +70,17 @@ def scenes_of(entries: tuple[str, ...], kinds: dict[str, str]) -> tuple[SceneSou
 
 @lru_cache(maxsize=16)
 def load(source: str) -> Loaded:
-    """Read or simulate the points."""
-    if source.startswith("sim:"):
-        _, kind, points, seed = source.split(":")
-        xyz = simulate(kind, int(points), int(seed)).xyz
-    else:
-        xyz = Scene.load(source).xyz
+    """Read or simulate the points, to keep them."""
+    xyz = scene_at(source).xyz
     return Loaded(xyz, spacing(xyz), hashlib.sha256(np.ascontiguousarray(xyz).tobytes()).hexdigest()[:16])
+
+
+def scene_at(source: str) -> Scene:
+    """Read or simulate a scene, with all that is known of its points."""
+    if not source.startswith("sim:"):
+        return Scene.load(source)
+    _, kind, points, seed = source.split(":")
+    return simulate(kind, int(points), int(seed))
 
 
 def _simulated(entry: str) -> SceneSource:

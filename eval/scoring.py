@@ -12,17 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eval.cells import Cell, Store, read_json, truth_of, write_json
+from eval.curves import SHARES, THRESHOLDS, curves_of, found_neighbors
 from eval.provenance import source_digest
 from l2p.io.atomic import atomic_file
 from l2p.metrics import errors, evaluate, neighbor_scores
 from l2p.recovery import Recovery
 
-#: Thresholds of the error's distribution function, in spacings.
-THRESHOLDS = np.geomspace(0.01, 100, 81)
 #: Increase when a row gets other figures, so that old rows are scored again.
-ROW_VERSION = 1
-#: Entries of a row that are curves, for JSON alone.
-CURVES = ("within",)
+ROW_VERSION = 2
 
 Row = dict[str, Any]
 
@@ -41,8 +38,8 @@ def score(cell: Cell, store: Store) -> Row:
 
 
 def csv_bytes(rows: Iterable[Row]) -> bytes:
-    """The tidy table: one line a cell, one column a figure."""
-    plain = [{name: value for name, value in row.items() if name not in CURVES} for row in rows]
+    """The tidy table: one line a cell, one column a figure; curves are for JSON alone."""
+    plain = [{name: value for name, value in row.items() if name != "curves"} for row in rows]
     text = io.StringIO()
     if plain:
         writer = csv.DictWriter(text, list(plain[0]), lineterminator="\n")
@@ -55,19 +52,21 @@ def write_results(store: Store, rows: list[Row], about: dict[str, Any]) -> None:
     """Rewrite ``results.csv`` and ``results.json``, each whole or not at all."""
     with atomic_file(store.folder / "results.csv", overwrite=True) as file:
         file.write(csv_bytes(rows))
-    write_json(store.folder / "results.json", {**about, "thresholds": THRESHOLDS.tolist(), "rows": rows})
+    axes = {"thresholds": THRESHOLDS.tolist(), "shares": SHARES.tolist()}
+    write_json(store.folder / "results.json", {**about, **axes, "rows": rows})
 
 
 def _stamp(cell: Cell, store: Store) -> str:
-    measures = f"{ROW_VERSION} {source_digest('metrics.py')}"
+    measures = f"{ROW_VERSION} {cell.contender.calibrated} {source_digest('metrics.py')}"
     return hashlib.sha256(store.record(cell).read_bytes() + measures.encode()).hexdigest()[:16]
 
 
 def _row(cell: Cell, store: Store) -> Row:
     recovery, record = Recovery.load(store.prediction(cell)), read_json(store.record(cell))
-    scene, truth = truth_of(cell)
+    scene, truth, _ = truth_of(cell)
     scores = evaluate(recovery, truth, scene.spacing)
     error = errors(recovery.xyz, truth) / scene.spacing
+    right = found_neighbors(recovery, truth)
     return {
         "scene": cell.scene.name,
         "kind": cell.scene.kind,
@@ -81,18 +80,14 @@ def _row(cell: Cell, store: Store) -> Row:
         "median_spacings": scores.median_spacings,
         **{f"within_{limit}": share for limit, share in scores.within_spacings.items()},
         **_confidence_figures(recovery.confidence, error <= 1, scores),
-        **_neighbor_figures(recovery, truth),
+        **_neighbor_figures(recovery, truth, right),
         "seconds": record["seconds"],
+        "peak_gib": record.get("peak_gib"),
         "made": record["made"],
         "commit": record["commit"],
         "code": record["code"],
-        "within": distribution(error).round(5).tolist(),
+        "curves": curves_of(recovery, error, right, cell.contender.calibrated),
     }
-
-
-def distribution(error: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " thresholds"]:
-    """Share of the errors within each of ``THRESHOLDS``."""
-    return np.searchsorted(np.sort(error), THRESHOLDS, side="right") / len(error)
 
 
 def _confidence_figures(
@@ -120,10 +115,12 @@ def ranking(confidence: Float[np.ndarray, " lines"], inside: Bool[np.ndarray, " 
     return float((rankdata(confidence)[inside].sum() - right * (right + 1) / 2) / (right * wrong))
 
 
-def _neighbor_figures(recovery: Recovery, truth: Float[np.ndarray, "lines 3"]) -> Row:
+def _neighbor_figures(
+    recovery: Recovery, truth: Float[np.ndarray, "lines 3"], right: Bool[np.ndarray, "lines k"] | None
+) -> Row:
     if recovery.neighbors is None:
         return dict.fromkeys(("neighbor_precision", "under_half_outliers", "neighbors_used"))
-    scores = neighbor_scores(recovery.neighbors, truth, recovery.affinity)
+    scores = neighbor_scores(recovery.neighbors, truth, recovery.affinity, right)
     return {
         "neighbor_precision": scores.precision,
         "under_half_outliers": scores.under_half_outliers,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,9 +13,12 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from eval.scoring import Row
+from l2p.errors import InputError
 
 #: Columns of a table when stdout is no terminal, whose width would be taken for 80.
 FILE_WIDTH = 140
+#: The line after a table in a file that is updated; the line before it is <!-- eval:RUN:TABLE -->.
+PLACE_END = "<!-- /eval -->"
 #: Errors of 0 (points that coincide) must not make a geometric mean 0.
 LEAST = 1e-6
 
@@ -23,69 +28,93 @@ class Column(NamedTuple):
 
     heading: str
     name: str
-    pool: Callable[[np.ndarray], float]
+    pool: Callable[[Sequence[Any]], float]
     form: Callable[[float], str]
 
 
 class Table(NamedTuple):
-    """A titled table of text."""
+    """A titled table of text, with the name that it is asked for by."""
 
+    name: str
     title: str
     head: list[str]
     body: list[list[str]]
 
 
-def geometric_mean(values: np.ndarray) -> float:
+def geometric_mean(values: Sequence[Any]) -> float:
     """Of positive numbers."""
     return float(np.exp(np.log(np.maximum(values, LEAST)).mean()))
 
 
-def arithmetic_mean(values: np.ndarray) -> float:
+def arithmetic_mean(values: Sequence[Any]) -> float:
     """Of any numbers."""
-    return float(values.mean())
+    return float(np.mean(values))
 
 
-def _decimals(value: float) -> str:
+def decimals(value: float) -> str:
+    """A number with three digits behind the point."""
     return f"{value:.3f}"
 
 
-def _percent(value: float) -> str:
+def percent(value: float) -> str:
+    """A share."""
     return f"{100 * value:.1f} %"
+
+
+def _short(value: float) -> str:
+    return f"{value:.2f}"
+
+
+def _whole(value: float) -> str:
+    return f"{100 * value:.0f} %"
 
 
 def _seconds(value: float) -> str:
     return f"{value:.1f}" if value < 100 else f"{value:.0f}"
 
 
-MEDIAN = Column("median (spacings)", "median_spacings", geometric_mean, _decimals)
-SHARE = Column("within 1 spacing", "within_1", arithmetic_mean, _percent)
+MEDIAN = Column("median (spacings)", "median_spacings", geometric_mean, decimals)
+SHARE = Column("within 1 spacing", "within_1", arithmetic_mean, percent)
 COLUMNS = (
     MEDIAN,
     SHARE,
-    Column("neighbour precision", "neighbor_precision", arithmetic_mean, _percent),
-    Column("lines under 50 % outliers", "under_half_outliers", arithmetic_mean, _percent),
+    Column("neighbour precision", "neighbor_precision", arithmetic_mean, percent),
+    Column("lines under 50 % outliers", "under_half_outliers", arithmetic_mean, percent),
     Column("seconds", "seconds", arithmetic_mean, _seconds),
 )
 
 NOTE = (
-    "Errors are in spacings, the median distance to the 50th neighbour in the full true cloud. Medians are geometric, "
-    "all other figures arithmetic means over the scenes. A neighbour is right if it is among the k nearest points, "
-    "k as many as the method used. Seconds are wall time a scene on a machine that may have had other work."
+    "Errors are in spacings, the median distance to the 50th neighbour in the full true cloud. Medians and ratios are "
+    "geometric, all other figures arithmetic means over the scenes. A neighbour is right if it is among the k nearest "
+    "points, k as many as the method used. The calibration error is that of the confidence as the probability of lying "
+    "within 1 spacing, in 15 bins of all scenes with equal weight, beside the greatest of a single scene. Seconds are "
+    "wall time a scene on a machine that may have had other work."
 )
 
 
-def print_tables(rows: Sequence[Row]) -> None:
-    """All tables, on stdout."""
+def print_tables(found: Iterable[Table]) -> None:
+    """Tables on stdout."""
     console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else FILE_WIDTH)
-    for table in tables(rows):
-        shown = RichTable(*table.head, title=table.title)
+    for table in found:
+        shown = RichTable(title=table.title)
+        for i, heading in enumerate(table.head):
+            shown.add_column(heading, no_wrap=i == 0)
         for row in table.body:
             shown.add_row(*row)
         console.print(shown)
 
 
-def document(rows: Sequence[Row], about: dict[str, Any], figures: Iterable[str]) -> str:
-    """The Markdown page: the command first, then tables and figures."""
+class Image(NamedTuple):
+    """A picture of the page: where it is, and what it shows."""
+
+    path: Path
+    caption: str
+
+
+def document(
+    rows: Sequence[Row], found: Iterable[Table], about: dict[str, Any], images: Iterable[Image], folder: Path
+) -> str:
+    """The Markdown page in ``folder``: the command first, then tables and figures."""
     made = sorted({row["commit"] or "unknown" for row in rows})
     machine, versions = about["machine"], about["versions"]
     parts = [
@@ -96,8 +125,9 @@ def document(rows: Sequence[Row], about: dict[str, Any], figures: Iterable[str])
         + ", ".join(f"{name} {version}" for name, version in versions.items())
         + ".",
         NOTE,
-        *(f"## {table.title}\n\n{markdown(table)}" for table in tables(rows)),
-        *(f"![{figure.rsplit('/', 1)[-1]}]({figure})" for figure in figures),
+        *(f"## {table.title}\n\n{markdown(table)}" for table in found),
+        "## Figures",
+        *(f"![{caption}]({path.relative_to(folder).as_posix()})\n\n{caption}" for path, caption in images),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -108,14 +138,51 @@ def markdown(table: Table) -> str:
     return "\n".join("| " + " | ".join(row) + " |" for row in (table.head, rule, *table.body))
 
 
+def updated(text: str, run: str, found: Iterable[Table]) -> str | None:
+    """The text with the run's tables in their places; None if it has no place for this run.
+
+    Raises
+    ------
+    InputError
+        If a place has no end, or names no table of the run.
+    """
+    named = {table.name: table for table in found}
+    begin = re.compile(rf"^<!-- eval:{re.escape(run)}:(\S+) -->$\n", re.MULTILINE)
+    parts, at = [], 0
+    for place in begin.finditer(text):
+        end = text.find(PLACE_END, place.end())
+        following = begin.search(text, place.end())
+        if end < 0 or (following and following.start() < end):
+            raise InputError(f"got {place[0].strip()} without {PLACE_END} after it; expected both around the table")
+        if place[1] not in named:
+            raise InputError(f"got {place[0].strip()}; expected a table of {', '.join(named)}")
+        parts += [text[at : place.end()], "\n", markdown(named[place[1]]), "\n\n"]
+        at = end
+    return "".join(parts) + text[at:] if parts else None
+
+
 def tables(rows: Sequence[Row]) -> list[Table]:
-    """One table of methods for each fraction, then the scenes at the largest of them."""
+    """The overview, one table of methods for each fraction, then the scenes at the largest of them."""
     fractions = sorted({row["fraction"] for row in rows}, reverse=True)
-    found = [method_table([row for row in rows if row["fraction"] == fraction], fraction) for fraction in fractions]
     largest = [row for row in rows if row["fraction"] == fractions[0]]
-    for column in (MEDIAN, SHARE):
-        found.append(scene_table(largest, column, fractions[0]))
-    return found
+    return [
+        overview(rows, fractions),
+        *(method_table([row for row in rows if row["fraction"] == fraction], fraction) for fraction in fractions),
+        scene_table("medians", largest, MEDIAN, fractions[0]),
+        scene_table("shares", largest, SHARE, fractions[0]),
+    ]
+
+
+def overview(rows: Sequence[Row], fractions: Sequence[float]) -> Table:
+    """Median error and share within 1 spacing of each method at each fraction."""
+    median, share = MEDIAN._replace(form=_short), SHARE._replace(form=_whole)
+    body = []
+    for method in distinct(rows, "method"):
+        own = [row for row in rows if row["method"] == method]
+        there = [[row for row in own if row["fraction"] == fraction] for fraction in fractions]
+        body.append([method, *(f"{pooled(here, median)} / {pooled(here, share)}" if here else "-" for here in there)])
+    head = ["share of the points", *(f"{100 * fraction:g} %" for fraction in fractions)]
+    return Table("overview", "median error in spacings / share within 1 spacing", head, body)
 
 
 def method_table(rows: Sequence[Row], fraction: float) -> Table:
@@ -128,10 +195,10 @@ def method_table(rows: Sequence[Row], fraction: float) -> Table:
         missing = "" if there == scenes else f" ({there} of {scenes} scenes)"
         body.append([method + missing, *(pooled(own, column) for column in COLUMNS)])
     title = f"{100 * fraction:g} % of the points, {scenes} scene{'s' if scenes > 1 else ''}"
-    return Table(title, ["method", *(column.heading for column in COLUMNS)], body)
+    return Table(f"{100 * fraction:g}%", title, ["method", *(column.heading for column in COLUMNS)], body)
 
 
-def scene_table(rows: Sequence[Row], column: Column, fraction: float) -> Table:
+def scene_table(name: str, rows: Sequence[Row], column: Column, fraction: float) -> Table:
     """One figure of each method on each scene."""
     methods = distinct(rows, "method")
     body = []
@@ -139,7 +206,8 @@ def scene_table(rows: Sequence[Row], column: Column, fraction: float) -> Table:
         own = [row for row in rows if row["scene"] == scene]
         figures = [pooled([row for row in own if row["method"] == method], column) for method in methods]
         body.append([scene, own[0]["kind"], str(own[0]["lines"]), *figures])
-    return Table(f"{column.heading}, each scene at {100 * fraction:g} %", ["scene", "kind", "lines", *methods], body)
+    title = f"{column.heading}, each scene at {100 * fraction:g} %"
+    return Table(name, title, ["scene", "kind", "lines", *methods], body)
 
 
 def pooled(rows: Sequence[Row], column: Column) -> str:
@@ -155,7 +223,7 @@ def pooled(rows: Sequence[Row], column: Column) -> str:
 def pool_seed(rows: Sequence[Row], column: Column, seed: int) -> float | None:
     """The figure of one seed over its scenes; None where no scene has it."""
     values = [row[column.name] for row in rows if row["seed"] == seed and row[column.name] is not None]
-    return column.pool(np.array(values)) if values else None
+    return column.pool(values) if values else None
 
 
 def distinct(rows: Iterable[Row], name: str) -> list[Any]:

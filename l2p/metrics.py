@@ -7,7 +7,7 @@ lifted: figures at different densities then share one unit.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -87,6 +87,18 @@ class NeighborScores:
         return asdict(self)
 
 
+class Reliability(NamedTuple):
+    """What a confidence says and what holds, in bins of equally many lines, the least confident first.
+
+    ``lines`` counts the lines of each bin, ``confidence`` is their mean confidence, and ``inside`` the share of them
+    within 1 spacing.
+    """
+
+    lines: Int[np.ndarray, " bins"]
+    confidence: Float[np.ndarray, " bins"]
+    inside: Float[np.ndarray, " bins"]
+
+
 def spacing(points: Float[np.ndarray, "points 3"]) -> float:
     """Median distance to the 50th neighbour (to the farthest point, in clouds of 50 points or fewer), scene units.
 
@@ -159,31 +171,71 @@ def risk_coverage(
     return kept / len(order), np.cumsum(~inside[order]) / kept
 
 
+def reliability(
+    confidence: Float[np.ndarray, " lines"], inside: Bool[np.ndarray, " lines"], bins: int = _BINS
+) -> Reliability:
+    """The reliability diagram of a confidence, in ``bins`` bins (as many as lines, if these are fewer)."""
+    order = np.argsort(confidence, kind="stable")
+    parts = np.array_split(order, min(bins, len(order)))
+    return Reliability(
+        lines=np.array([len(part) for part in parts]),
+        confidence=np.array([confidence[part].mean(dtype=np.float64) for part in parts]),
+        inside=np.array([inside[part].mean() for part in parts]),
+    )
+
+
 def calibration_error(confidence: Float[np.ndarray, " lines"], inside: Bool[np.ndarray, " lines"]) -> float:
     """Expected calibration error: mean gap between confidence and share within 1 spacing, in bins of equal size."""
-    order = np.argsort(confidence, kind="stable")
-    gaps = [
-        len(part) * abs(float(confidence[part].mean()) - float(inside[part].mean()))
-        for part in np.array_split(order, min(_BINS, len(order)))
-    ]
-    return sum(gaps) / len(order)
+    bins = reliability(confidence, inside)
+    return float((bins.lines * np.abs(bins.confidence - bins.inside)).sum() / bins.lines.sum())
+
+
+def right_neighbors(
+    neighbors: Int[np.ndarray, "lines k"], truth: Float[np.ndarray, "lines 3"]
+) -> Bool[np.ndarray, "lines k"]:
+    """Which neighbours of an attack (-1: none) are true: among the k_i nearest points, k_i as many as line i has."""
+    used = neighbors >= 0
+    count = used.sum(axis=1)
+    true = nearest_neighbors(truth, int(count.max(initial=0)))
+    if true.distance.shape[1] == 0:
+        return np.zeros(neighbors.shape, dtype=bool)
+    reach = np.take_along_axis(true.distance, np.maximum(count - 1, 0)[:, None], axis=1)
+    distance = np.linalg.norm(truth[np.maximum(neighbors, 0)] - truth[:, None], axis=2)
+    return (distance <= reach) & used
 
 
 def neighbor_scores(
     neighbors: Int[np.ndarray, "lines k"],
     truth: Float[np.ndarray, "lines 3"],
     affinity: Float[np.ndarray, "lines k"] | None = None,
+    right: Bool[np.ndarray, "lines k"] | None = None,
 ) -> NeighborScores:
-    """Precision of an attack's neighbours (-1: none) at its own k; see :class:`NeighborScores`."""
+    """Precision of an attack's neighbours (-1: none) at its own k; see :class:`NeighborScores`.
+
+    ``right`` is what :func:`right_neighbors` gives, computed when left out.
+    """
+    right = right_neighbors(neighbors, truth) if right is None else right
     used = neighbors >= 0
     weight = used.astype(np.float64) if affinity is None else np.where(used, affinity, 0.0)
     count = used.sum(axis=1)
     some = count > 0
     if not some.any():
         return NeighborScores(0.0, 0.0, 0.0)
-    true = nearest_neighbors(truth, int(count.max()))
-    reach = np.take_along_axis(true.distance, np.maximum(count - 1, 0)[:, None], axis=1)
-    distance = np.linalg.norm(truth[np.maximum(neighbors, 0)] - truth[:, None], axis=2)
-    right = (distance <= reach) & used
     precision = (weight * right).sum(axis=1)[some] / np.maximum(weight.sum(axis=1)[some], 1e-12)
     return NeighborScores(float(precision.mean()), float((precision > 0.5).mean()), float(count.mean()))
+
+
+def affinity_precision(
+    affinity: Float[np.ndarray, " pairs"], right: Bool[np.ndarray, " pairs"], shares: Float[np.ndarray, " shares"]
+) -> Float[np.ndarray, " shares"]:
+    """Precision of the most affine share of all pairs; of pairs with equal affinity any may come first.
+
+    Notes
+    -----
+    As many pairs are used as there are true ones (:func:`right_neighbors`): the recall at a share is share x precision.
+    """
+    order = np.argsort(-affinity, kind="stable")
+    ends = np.flatnonzero(np.diff(affinity[order], append=-np.inf)) + 1
+    hits = np.cumsum(right[order])[ends - 1]
+    kept = shares * len(order)
+    return np.interp(kept, np.append(0, ends), np.append(0, hits)) / kept

@@ -146,10 +146,10 @@ def draw_attack(
     figure, panels = _panels(captions, camera.project(box.edges())[0])
     rgb = np.full(scene.xyz.shape, 200, np.uint8) if scene.rgb is None else scene.rgb
     kept = box.contains(scene.xyz)
-    _draw_points(panels[0], camera, scene.xyz[kept], _brightened(rgb[kept]))
+    draw_points(panels[0], camera, scene.xyz[kept], _brightened(rgb[kept]))
     _draw_lines(panels[1], camera.project(box.segments(lines))[0])
     kept = box.contains(recovered)
-    _draw_points(panels[2], camera, recovered[kept], _error_colors(error[kept]))
+    draw_points(panels[2], camera, recovered[kept], _error_colors(error[kept]))
     _draw_scale(figure, captions.error)
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=100, facecolor=BACKGROUND)
@@ -183,13 +183,15 @@ def _panels(captions: Captions, edges: Float[np.ndarray, "edges 2 2"]) -> tuple[
     return figure, panels
 
 
-def _draw_points(panel: Axes, camera: Camera, points: Float[np.ndarray, "points 3"], color: np.ndarray) -> None:
-    """Dots from far to near, the nearer the larger."""
+def draw_points(
+    panel: Axes, camera: Camera, points: Float[np.ndarray, "points 3"], color: np.ndarray, size: float = POINT_SIZE
+) -> None:
+    """Dots from far to near, the nearer the larger; ``size`` is the diameter at the median depth, in points."""
     place, depth = camera.project(points)
     order = np.argsort(-depth)
     middle = float(np.median(depth)) if len(depth) else 1.0
-    size = (POINT_SIZE * middle / depth[order]) ** 2
-    panel.scatter(*place[order].T, s=size, c=color[order], linewidths=0, zorder=1)
+    area = (size * middle / depth[order]) ** 2
+    panel.scatter(*place[order].T, s=area, c=color[order], linewidths=0, zorder=1)
 
 
 def _draw_lines(panel: Axes, segments: Float[np.ndarray, "segments 2 2"]) -> None:

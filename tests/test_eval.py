@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +23,15 @@ from omegaconf.errors import OmegaConfBaseException
 
 import l2p
 from eval.config import CONFIGS, settings_of
-from eval.methods import contender_of
+from eval.methods import Trial, contender_of, identity_of
 from eval.program import evaluate_all
 from eval.scenes import scenes_of
-from eval.scoring import THRESHOLDS, distribution, ranking
-from eval.tables import method_table
+from l2p.checkpoint import digest, read, save
 from l2p.errors import InputError
 from l2p.recovery import Recovery
 
+EXPERIMENTS = (CONFIGS / "experiment").glob("*.yaml")
+METHODS_OF_README = ["heuristic", "tomography", "learned", "oracle 50", "LOO"]
 TINY = ["scenes=[sim:room:120:0]", "fractions=[1.0,0.5]", "threads=1"]
 
 #: A user's method, which counts its calls in a file and can be made to fail.
@@ -68,6 +70,18 @@ def rows_of(folder: Path) -> list[dict[str, str]]:
 
 
 @pytest.fixture
+def drawn() -> None:
+    """Asked for by tests that look at the figures."""
+
+
+@pytest.fixture(autouse=True)
+def _quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other tests do without figures, which take longer than all the rest."""
+    if "drawn" not in request.fixturenames:
+        monkeypatch.setattr("eval.program.draw_figures", lambda rows, knowing: [])
+
+
+@pytest.fixture
 def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
     """Write the user's module ``NAME`` into a folder of its own, which is given back."""
 
@@ -81,6 +95,7 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Pat
     return write
 
 
+@pytest.mark.usefixtures("drawn")
 def test_every_reference_and_attack_has_a_row_for_each_cell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     methods = "[{name: heuristic}, {name: oracle, k: 10, outliers: 0.5}, {name: candidate_oracle, k: 10}, {name: loo}]"
     docs = tmp_path / "docs" / "results.md"
@@ -98,8 +113,8 @@ def test_every_reference_and_attack_has_a_row_for_each_cell(tmp_path: Path, caps
     assert "100 % of the points, 1 scene" in capsys.readouterr().out
     page = docs.read_text()
     assert page.index("python -m eval") < page.index("| heuristic |")
-    assert (docs.parent / "images" / "results-error-cdf.png").is_file()
-    assert "images/results-density.png" in page
+    assert (docs.parent / "images" / "results-error_cdf.svg").is_file()
+    assert "](images/results-density.svg)" in page
 
 
 def test_rows_are_what_the_measures_say_of_the_saved_prediction(tmp_path: Path) -> None:
@@ -151,6 +166,49 @@ def test_predictions_of_other_settings_are_not_mixed_in(tmp_path: Path) -> None:
     assert run(tmp_path, "methods=[{name: oracle, k: 10, label: mine}, {name: oracle, k: 20}]") == 0
 
 
+def test_the_learned_attack_is_run_and_scored(tmp_path: Path, tiny_checkpoint: Path) -> None:
+    methods = f"[{{name: learned}}, {{name: learned, checkpoint: {tiny_checkpoint}, rounds: 1, label: tiny}}]"
+    assert run(tmp_path, f"methods={methods}") == 0
+    rows = rows_of(tmp_path)
+    assert [row["method"] for row in rows] == ["learned", "tiny"] * 2
+    for row in rows:
+        assert 0 < float(row["neighbor_precision"]) < 1
+        assert 0 <= float(row["calibration_error"]) <= 1
+    assert float(rows[1]["neighbors_used"]) == 16, "all candidates, each weighted by its affinity"
+    record = json.loads((tmp_path / "predictions" / "sim-room-120-0_50_0_tiny.json").read_text())
+    settings = record["info"]["settings"]
+    assert (settings["checkpoint"], settings["rounds"], settings["density"]) == ("tiny.safetensors", 1, 0.5)
+
+
+def test_predictions_of_other_weights_are_not_mixed_in(tmp_path: Path, tiny_checkpoint: Path) -> None:
+    mine = tmp_path / "mine.safetensors"
+    mine.write_bytes(tiny_checkpoint.read_bytes())
+    entry = f"{{name: learned, checkpoint: {mine}, rounds: 0}}"
+    run(tmp_path / "run", f"methods=[{entry}]")
+    save(mine, replace(read(mine), facts={"seed": 12}), overwrite=True)
+    with pytest.raises(InputError, match=r"was made with method .*'digest': "):
+        run(tmp_path / "run", f"methods=[{entry}]")
+    oracle = {"name": "candidate_oracle", "attack": {"name": "learned", "checkpoint": str(mine)}}
+    assert identity_of(contender_of(oracle), "cloud")["digest"] == digest(mine)
+    assert "digest" not in identity_of(contender_of({"name": "tomography"}), "cloud")
+
+
+def test_the_learned_attack_is_told_the_density_and_nothing_of_the_truth(
+    tiny_checkpoint: Path, scene_points: np.ndarray
+) -> None:
+    lines, index = l2p.lift_indexed(scene_points, 0, 0.25)
+    contender: Any = contender_of({"name": "learned", "checkpoint": str(tiny_checkpoint)})
+    found = [
+        contender.recover(Trial("key", lines, truth, kind, 0.25, 0, "cpu"))
+        for truth, kind in ((scene_points[index], "indoor"), (np.zeros((len(lines), 3)), "outdoor"))
+    ]
+    expected = l2p.recover(lines, checkpoint=tiny_checkpoint, density=0.25)
+    for recovery in found:
+        np.testing.assert_array_equal(recovery.xyz, expected.xyz)
+        np.testing.assert_array_equal(recovery.confidence, expected.confidence)
+    assert not contender.knows_truth
+
+
 def test_a_changed_scene_file_is_not_mixed_in(tmp_path: Path, scene_points: np.ndarray) -> None:
     overrides = (f"scenes=[{tmp_path / 'mine.npz'}]", "methods=[{name: oracle, k: 10}]")
     np.savez(tmp_path / "mine.npz", xyz=scene_points)
@@ -158,16 +216,6 @@ def test_a_changed_scene_file_is_not_mixed_in(tmp_path: Path, scene_points: np.n
     np.savez(tmp_path / "mine.npz", xyz=scene_points[:-1])
     with pytest.raises(InputError, match="was made with points"):
         run(tmp_path / "run", *overrides)
-
-
-def test_processes_give_the_figures_of_one(tmp_path: Path) -> None:
-    run(tmp_path / "one", "methods=[{name: heuristic, rounds: 1}]")
-    assert run(tmp_path / "two", "methods=[{name: heuristic, rounds: 1}]", "workers=2") == 0
-    one, two = (
-        [{name: row[name] for name in ("fraction", "median", "mean")} for row in rows_of(tmp_path / name)]
-        for name in ("one", "two")
-    )
-    assert one == two
 
 
 def test_a_users_points_and_recoveries_are_scored(tmp_path: Path, plugin: Callable[..., Path]) -> None:
@@ -186,6 +234,9 @@ def test_a_users_points_and_recoveries_are_scored(tmp_path: Path, plugin: Callab
     assert [row["method"] for row in rows[:2]] == ["own", "elsewhere"]
     assert rows[0]["median"] == rows[1]["median"]
     assert rows[0]["neighbor_precision"] == "" and rows[0]["confidence_auc"] == "", "nothing is made up"
+    (folder / "sim-room-120-0_50_0.npz").write_bytes((folder / "sim-room-120-0_100_0.npz").read_bytes())
+    with pytest.raises(InputError, match=r"_50_0_elsewhere.npz was made with method .*'digest': "):
+        run(tmp_path / "run", f"methods=[{call}, {{name: folder, path: {folder}}}]")
 
 
 def test_a_users_answer_of_the_wrong_length_is_refused(
@@ -199,7 +250,10 @@ def test_a_users_answer_of_the_wrong_length_is_refused(
 @pytest.mark.parametrize(
     ("entry", "sentence"),
     [
-        ({"name": "orakel"}, "got method 'orakel'; expected a name of heuristic, tomography"),
+        ({"name": "orakel"}, "got method 'orakel'; expected a name of learned, heuristic, tomography"),
+        ({"name": "learned", "round": 2}, "method learned: Key 'round' not in"),
+        ({"name": "learned", "rounds": 100}, "got 100 rounds; expected 0 to"),
+        ({"name": "learned", "checkpoint": __file__}, "test_eval.py is no safetensors file"),
         ({}, "got method None"),
         ({"name": "oracle", "K": 5}, "method oracle: Key 'K' not in"),
         ({"name": "oracle", "k": "many"}, "method oracle: Value 'many'"),
@@ -222,7 +276,10 @@ def test_a_wrong_method_is_explained(entry: dict[str, Any], sentence: str) -> No
         ("seeds=[]", "got no seeds"),
         ("seeds=[1,1]", "expected each of them once"),
         ("seeds=[-1]", "got seed -1"),
-        ("workers=0", "got workers 0"),
+        ("processes=0", "got processes 0"),
+        ("pictures.color=depth", "got color 'depth' of the pictures; expected error or rgb"),
+        ("pictures.scenes=[castle]", "got picture scene castle, which is no scene of this run"),
+        ("pictures.fractions=[0.2]", "got fraction 0.2 of the pictures; expected some of the run's"),
         ("steps=[scoer]", "expected some of predict, score"),
         ("scenes=['sim:castle:100:0']", "expected sim:KIND:POINTS:SEED"),
         ("+kinds={elsewhere: indoor}", "got a kind for elsewhere"),
@@ -237,21 +294,58 @@ def test_a_wrong_value_is_explained_before_any_work(tmp_path: Path, override: st
     assert not (tmp_path / "predictions").exists() or not list((tmp_path / "predictions").iterdir())
 
 
+def test_a_missing_checkpoint_is_named_before_any_work(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"none\.safetensors does not exist; expected a checkpoint"):
+        run(tmp_path / "run", f"methods=[{{name: learned, checkpoint: {tmp_path / 'none.safetensors'}}}]")
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="nowhere does not exist; give"):
         run(tmp_path, f"scenes=[{tmp_path / 'nowhere'}]")
 
 
-@pytest.mark.parametrize("override", ["fraction=[1.0]", "workers=many", "methods=7"])
+@pytest.mark.parametrize("override", ["fraction=[1.0]", "processes=many", "pictures.colour=rgb", "methods=7"])
 def test_unknown_keys_and_other_types_are_errors(tmp_path: Path, override: str) -> None:
     with pytest.raises((HydraException, OmegaConfBaseException)):
         run(tmp_path, override)
 
 
-@pytest.mark.parametrize("name", ["classical", "paper_sparsity", "paper_oracle_k", "paper_outliers"])
+@pytest.mark.parametrize("name", sorted(path.stem for path in EXPERIMENTS if "methods:" in path.read_text()))
 def test_experiments_run_on_a_tiny_scene(tmp_path: Path, name: str) -> None:
-    assert run(tmp_path, f"experiment={name}", "fractions=[1.0]", "seeds=[0]") == 0
+    small = ("fractions=[1.0]", "seeds=[0]", "pictures.scenes=[]", "docs=null", "update=[]")
+    assert run(tmp_path, f"experiment={name}", *small) == 0
     assert rows_of(tmp_path)
+
+
+@pytest.mark.usefixtures("drawn")
+def test_the_tables_and_figures_of_the_docs_are_made_by_one_command(tmp_path: Path) -> None:
+    docs = tmp_path / "docs" / "results.md"
+    readme = tmp_path / "README.md"
+    readme.write_text("# Mine\n\n<!-- eval:readme:overview -->\nold\n<!-- /eval -->\n\nThe end.\n")
+    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
+        tiny = ["scenes=[sim:room:400:1]", "pictures.scenes=[sim-room-400-1]", f"docs={docs}", f"update=[{readme}]"]
+        config = compose("eval", ["experiment=readme", *tiny])
+    assert evaluate_all(settings_of(config), tmp_path / "run", "python -m eval") == 0
+    rows = rows_of(tmp_path / "run")
+    assert list(dict.fromkeys(row["method"] for row in rows)) == METHODS_OF_README
+    assert [row["fraction"] for row in rows[:: len(METHODS_OF_README)]] == ["1.0", "0.5", "0.1", "0.05"]
+    figures = ["error_cdf", "error_sparsity", "density", "risk_coverage", "calibration", "neighbors"]
+    for name in [*(f"{figure}.svg" for figure in figures), "sim-room-400-1_100.png"]:
+        assert (tmp_path / "run" / "figures" / name).is_file()
+        assert (docs.parent / "images" / f"results-{name}").is_file()
+        assert f"](images/results-{name})" in docs.read_text()
+    assert "| method | points | median / heuristic's |" in docs.read_text()
+    assert readme.read_text().startswith("# Mine\n\n<!-- eval:readme:overview -->\n\n| share of the points | 100 % |")
+    assert readme.read_text().endswith("\n\n<!-- /eval -->\n\nThe end.\n") and "old" not in readme.read_text()
+
+
+def test_the_docs_need_the_real_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
+        config = compose("eval", ["experiment=readme", "update=[]"])
+    with pytest.raises(FileNotFoundError, match=r"shared/scenes/val does not exist; give scenes=\[FOLDER\]"):
+        evaluate_all(settings_of(config), tmp_path / "run", "python -m eval")
 
 
 def test_kinds_come_from_the_table_beside_the_scenes(tmp_path: Path, scene_points: np.ndarray) -> None:
@@ -275,42 +369,6 @@ def test_real_scenes_have_the_kinds_of_their_table(shared: Path) -> None:
     assert len(kinds) == 12
     assert kinds["aerial_city"] == "outdoor" and kinds["church_interior"] == "indoor"
     assert kinds["tabletop_posters"] == "object"
-
-
-def test_medians_are_pooled_geometrically_and_seeds_give_a_spread() -> None:
-    figures = {"within_1": 0.5, "neighbor_precision": None, "under_half_outliers": None, "seconds": 1.0}
-    rows = [
-        {"scene": scene, "seed": seed, "method": "m", "median_spacings": median * (1 + seed), **figures}
-        for seed in (0, 1)
-        for scene, median in (("a", 0.1), ("b", 10.0))
-    ]
-    # Geometric means 1 and 2 of the two seeds.
-    assert method_table(rows, 1.0).body == [["m", "1.500 ± 0.707", "50.0 % ± 0.0 %", "-", "-", "1.0 ± 0.0"]]
-
-
-def test_a_method_without_some_scenes_says_so() -> None:
-    row = {"seed": 0, "median_spacings": 1.0, "within_1": 0.5, "seconds": 1.0}
-    row |= {"neighbor_precision": None, "under_half_outliers": None}
-    rows = [
-        {**row, "scene": "a", "method": "m"},
-        {**row, "scene": "b", "method": "n"},
-        {**row, "scene": "a", "method": "n"},
-    ]
-    assert [line[0] for line in method_table(rows, 1.0).body] == ["m (1 of 2 scenes)", "n"]
-
-
-def test_distribution_counts_errors(rng: np.random.Generator) -> None:
-    error = rng.lognormal(size=200)
-    assert np.array_equal(distribution(error), [(error <= limit).mean() for limit in THRESHOLDS])
-
-
-def test_ranking_is_the_share_of_pairs_in_order(rng: np.random.Generator) -> None:
-    confidence = rng.integers(0, 5, 60) / 4
-    inside = rng.random(60) < 0.3 + 0.4 * confidence
-    right, wrong = confidence[inside], confidence[~inside]
-    pairs = (right[:, None] > wrong).mean() + 0.5 * (right[:, None] == wrong).mean()
-    assert ranking(confidence, inside) == pytest.approx(pairs)
-    assert ranking(confidence, np.ones(60, dtype=bool)) is None
 
 
 def test_the_program_runs_from_the_command_line(tmp_path: Path) -> None:

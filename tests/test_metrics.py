@@ -8,10 +8,13 @@ import pytest
 
 from l2p.errors import InputError
 from l2p.metrics import (
+    affinity_precision,
     calibration_error,
     errors,
     evaluate,
     neighbor_scores,
+    reliability,
+    right_neighbors,
     risk_coverage,
     spacing,
 )
@@ -206,3 +209,54 @@ def test_affinities_weight_the_precision():
     assert scores.precision == pytest.approx(0.9)
     assert scores.under_half_outliers == 1
     assert neighbor_scores(neighbors, points).under_half_outliers == 0
+
+
+def test_reliability_bins_hold_all_lines_from_doubtful_to_sure():
+    rng = np.random.default_rng(0)
+    confidence = rng.uniform(size=1003)
+    inside = rng.uniform(size=1003) < confidence**2
+    bins = reliability(confidence, inside, 20)
+    assert bins.lines.sum() == 1003 and np.ptp(bins.lines) <= 1 and len(bins.lines) == 20
+    assert (np.diff(bins.confidence) > 0).all()
+    assert (bins.lines * bins.confidence).sum() == pytest.approx(confidence.sum())
+    assert (bins.lines * bins.inside).sum() == pytest.approx(inside.sum())
+    assert len(reliability(confidence[:7], inside[:7], 20).lines) == 7
+
+
+def test_right_neighbours_are_among_the_nearest_of_their_number():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(60, 3))
+    neighbors = np.argsort(rng.random((60, 60)), axis=1)[:, :9]
+    neighbors[neighbors == np.arange(60)[:, None]] = -1
+    neighbors[:5] = -1
+    table = np.linalg.norm(points[:, None] - points, axis=2)
+    np.fill_diagonal(table, np.inf)
+    for i, (row, right) in enumerate(zip(neighbors, right_neighbors(neighbors, points), strict=True)):
+        nearest = np.argsort(table[i])[: (row >= 0).sum()]
+        assert right.tolist() == [bool(j >= 0 and j in nearest) for j in row]
+
+
+def test_what_is_right_may_be_given():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(60, 3))
+    neighbors = np.argsort(rng.random((60, 60)), axis=1)[:, :9]
+    right = right_neighbors(neighbors, points)
+    assert neighbor_scores(neighbors, points, right=right) == neighbor_scores(neighbors, points)
+
+
+def test_affinities_rank_neighbours():
+    rng = np.random.default_rng(0)
+    affinity, shares = rng.random(500), np.arange(1, 11) / 10
+    right = rng.random(500) < affinity
+    order = np.argsort(-affinity)
+    expected = [right[order[: round(500 * share)]].mean() for share in shares]
+    np.testing.assert_allclose(affinity_precision(affinity, right, shares), expected)
+
+
+def test_equal_affinities_rank_nothing():
+    right = np.arange(90) < 30
+    shares = np.array([0.1, 0.5, 1.0])
+    np.testing.assert_allclose(affinity_precision(np.ones(90), right, shares), 1 / 3)
+    # The upper half ties at 2/3, whatever the order of its pairs; then nothing is right.
+    affinity = np.where(np.arange(90) < 45, 0.9, 0.1)
+    np.testing.assert_allclose(affinity_precision(affinity, right, shares), [2 / 3, 2 / 3, 1 / 3])

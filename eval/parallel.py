@@ -1,0 +1,157 @@
+"""Jobs one after the other, or in processes of their own, which end with this one however it ends."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+import traceback
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from typing import Any, Generic, TypeVar
+
+import torch
+
+from l2p.errors import InputError
+
+Job = TypeVar("Job")
+
+#: Seconds that a process has to end when it is told to.
+PATIENCE = 5.0
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a job did not end well: a sentence, and the place in the code where the sentence alone says too little."""
+
+    sentence: str
+    place: str = ""
+
+
+def attempt(work: Callable[[Job], None], job: Job) -> Failure | None:
+    """Do the job; a failure is given back, since the other jobs are still wanted."""
+    try:
+        work(job)
+    except (InputError, FileNotFoundError) as error:
+        return Failure(str(error))
+    except Exception as error:  # a user's method may raise anything
+        return Failure(f"{type(error).__name__}: {error}", traceback.format_exc())
+    return None
+
+
+def outcomes(
+    work: Callable[[Job], None], jobs: Sequence[Job], processes: int, threads: int
+) -> Generator[tuple[Job, Failure | None], None, None]:
+    """Do the jobs, in this process if one is enough; each with its failure, if it failed, in the order they end.
+
+    Parameters
+    ----------
+    work
+        A function of a module, since processes find it by its name.
+    threads
+        Torch's threads in each process.
+
+    Notes
+    -----
+    Close the iterator (``contextlib.closing``) to end the processes when it is left before its end.
+    """
+    processes = min(processes, len(jobs))
+    if processes <= 1:
+        for job in jobs:
+            yield job, attempt(work, job)
+        return
+    waiting, busy = deque(jobs), dict[Connection, _Worker[Job]]()
+    try:
+        while waiting or busy:
+            while waiting and len(busy) < processes:
+                worker = _Worker(work, threads)
+                busy[worker.pipe] = worker
+                worker.give(waiting.popleft())
+            for worker in [busy[pipe] for pipe in wait(list(busy))]:  # type: ignore[index]
+                job, failure = worker.outcome()
+                if worker.alive and waiting:
+                    worker.give(waiting.popleft())
+                else:
+                    busy.pop(worker.pipe).end()
+                yield job, failure
+    finally:
+        for worker in busy.values():
+            worker.process.terminate()
+        for worker in busy.values():
+            worker.end()
+
+
+class _Worker(Generic[Job]):
+    """A process that does one job at a time."""
+
+    def __init__(self, work: Callable[[Job], None], threads: int) -> None:
+        # Not forked: torch's threads do not survive that.
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs, work, threads))
+        with _interrupts_held():
+            self.process.start()
+        theirs.close()
+        self.alive = True
+        self._job: Any = None
+
+    def give(self, job: Job) -> None:
+        """Begin a job."""
+        self._job = job
+        with suppress(OSError):  # a process that is gone says so when its outcome is asked for
+            self.pipe.send(job)
+
+    def outcome(self) -> tuple[Job, Failure | None]:
+        """The job, and why it failed; also when the process did not live to say so."""
+        try:
+            return self._job, self.pipe.recv()
+        except (EOFError, OSError):
+            self.alive = False
+            self.process.join(PATIENCE)
+            code = self.process.exitcode
+            killed = ", perhaps for want of memory; try fewer processes" if code == -signal.SIGKILL else ""
+            return self._job, Failure(f"its process ended with exit code {code}{killed}")
+
+    def end(self) -> None:
+        """Let the process end, and make it if it does not."""
+        self.pipe.close()
+        self.process.join(PATIENCE)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+
+
+def _serve(pipe: Connection, work: Callable[[Any], None], threads: int) -> None:
+    """What a process does: one job after the other, until nobody gives it more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this process
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    torch.set_num_threads(threads)
+    while True:
+        try:
+            job = pipe.recv()
+        except (EOFError, OSError):
+            return
+        pipe.send(attempt(work, job))
+
+
+def _end_with_parent() -> None:
+    """End at once when the parent is gone, also in the middle of a job that nobody waits for."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(1)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C waits until the block is over; a process that is started in it does not hear of it while it loads."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,102 @@
+"""The figures that goals of an attack are stated in: ratios to the paper's attack and to the bound, and calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from eval.curves import pooled_calibration_error
+from eval.methods import Contender, HeuristicContender, LeaveOneOutContender
+from eval.scoring import Row
+from eval.tables import Column, Table, arithmetic_mean, decimals, distinct, geometric_mean, percent, pooled
+
+#: Each ratio: its name, the figure, and the reference whose figure divides it.
+RATIOS = (
+    ("median_ratio", "median_spacings", "heuristic"),
+    ("precision_ratio", "neighbor_precision", "heuristic"),
+    ("share_ratio", "within_1", "loo"),
+)
+
+
+@dataclass(frozen=True)
+class References:
+    """Labels of the methods of a run that others are compared with, None where it has none; and who knows the truth."""
+
+    heuristic: str | None
+    loo: str | None
+    knowing: frozenset[str]
+
+    @classmethod
+    def of(cls, methods: Sequence[Contender]) -> References:
+        """The paper's attack with the paper's counts, and leave-one-out."""
+        heuristic = [m.label for m in methods if isinstance(m, HeuristicContender) and m.density is None]
+        loo = [m.label for m in methods if isinstance(m, LeaveOneOutContender)]
+        knowing = frozenset(m.label for m in methods if m.knows_truth)
+        return cls(next(iter(heuristic), None), next(iter(loo), None), knowing)
+
+
+def _maximum(values: Sequence[Any]) -> float:
+    return float(np.max(values))
+
+
+def _reached(values: Sequence[Any]) -> float:
+    return float((np.asarray(values) >= 1).mean())
+
+
+def target_table(rows: Sequence[Row], references: References) -> Table | None:
+    """What each attack reaches at each fraction; only the figures whose reference is in the run, None without any."""
+    columns = _columns(references, rows)
+    attacks = [method for method in distinct(rows, "method") if method not in references.knowing]
+    if not columns or not attacks:
+        return None
+    compared = with_ratios(rows, references)
+    body = []
+    for fraction in sorted({row["fraction"] for row in rows}, reverse=True):
+        for method in attacks:
+            own = [row for row in compared if row["fraction"] == fraction and row["method"] == method]
+            if own:
+                body.append([method, f"{100 * fraction:g} %", *(pooled(own, column) for column in columns)])
+    title = "attacks against the heuristic, the leave-one-out bound and their own confidence"
+    return Table("targets", title, ["method", "points", *(column.heading for column in columns)], body)
+
+
+def with_ratios(rows: Sequence[Row], references: References) -> list[Row]:
+    """The rows with each of ``RATIOS`` to the reference on the same line cloud; None where that is missing or 0."""
+    of = {(row["method"], row["scene"], row["fraction"], row["seed"]): row for row in rows}
+    found = []
+    for row in rows:
+        ratios = {}
+        for name, figure, owner in RATIOS:
+            reference = of.get((getattr(references, owner), row["scene"], row["fraction"], row["seed"]))
+            below = reference[figure] if reference else None
+            ratios[name] = row[figure] / below if below and row[figure] is not None else None
+        found.append({**row, **ratios, "reliability": row["curves"]["reliability"], "own_error": None})
+        if row["curves"]["reliability"] is not None:
+            found[-1]["own_error"] = row["calibration_error"]
+    return found
+
+
+def _columns(references: References, rows: Sequence[Row]) -> list[Column]:
+    columns = []
+    if references.heuristic is not None:
+        columns += [
+            Column("median / heuristic's", "median_ratio", geometric_mean, decimals),
+            Column("worst scene", "median_ratio", _maximum, decimals),
+            Column("neighbour precision / heuristic's", "precision_ratio", geometric_mean, decimals),
+        ]
+    if references.loo is not None:
+        columns += [
+            Column("share within 1 / LOO's", "share_ratio", geometric_mean, decimals),
+            Column("scenes not below LOO", "share_ratio", _reached, percent),
+        ]
+    if any(row["curves"]["reliability"] is not None for row in rows):
+        columns += [
+            Column("calibration error", "reliability", pooled_calibration_error, decimals),
+            Column("worst scene", "own_error", _maximum, decimals),
+        ]
+    if columns:
+        columns.append(Column("most confident half within 1", "confident_half", arithmetic_mean, percent))
+    return columns
