@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from l2p.attack import recover
+    from l2p.auditing import Audit, audit
     from l2p.errors import InputError
     from l2p.lifting import lift, lift_indexed
     from l2p.lines import LineCloud
@@ -27,11 +28,13 @@ __version__ = "0.1.0"
 
 # Public names are loaded on first use (PEP 562), so that `import l2p` and `l2p --help` do not wait for torch.
 _HOME = {
+    "Audit": "l2p.auditing",
     "InputError": "l2p.errors",
     "LineCloud": "l2p.lines",
     "Recovery": "l2p.recovery",
     "Scene": "l2p.scene",
     "Truth": "l2p.scene",
+    "audit": "l2p.auditing",
     "evaluate": "l2p.metrics",
     "lift": "l2p.lifting",
     "lift_indexed": "l2p.lifting",

@@ -176,9 +176,13 @@ def configured(kind: type[Config], values: dict[str, Any]) -> Config:
     names = [entry.name for entry in fields(kind)]  # type: ignore[arg-type]
     if not isinstance(values, dict) or set(values) != set(names):
         raise ValueError(f"got {sorted(values)} for {kind.__name__}, expected {sorted(names)}")
-    return kind(
-        **{name: configured(hints[name], values[name]) if is_dataclass(hints[name]) else values[name] for name in names}
-    )
+    return kind(**{name: _value(hints[name], values[name]) for name in names})
+
+
+def _value(kind: Any, value: Any) -> Any:
+    if is_dataclass(kind):
+        return configured(kind, value)  # type: ignore[arg-type]
+    return tuple(value) if isinstance(value, list) else value  # JSON and YAML know no tuples
 
 
 def _opened(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:

@@ -35,14 +35,14 @@ def inliers(xyz: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
     return mask
 
 
-def load_open3d() -> Any:
-    """The module open3d, or a sentence on how to get it to load."""
+def load_open3d(flag: str = "--clean") -> Any:
+    """The module open3d, or a sentence on how to get it to load; ``flag`` is what asks for it."""
     try:
         import open3d
     except (ImportError, OSError) as error:
         reason = " ".join(str(error).split())
         raise InputError(
             f"Open3D does not load ({reason}); install it with pip install open3d and apt install {DEBIAN_PACKAGES}, "
-            "or leave out --clean"
+            f"or leave out {flag}"
         ) from error
     return open3d

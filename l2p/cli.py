@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 from l2p import __version__
 from l2p.errors import InputError
 from l2p.methods import DEFAULT_METHOD, METHODS, SCENE_KINDS
+from l2p.page import MOST_POINTS
 
 #: Exit codes: the user's error, and Ctrl-C (128 + SIGINT).
 USER_ERROR, INTERRUPTED = 2, 130
@@ -57,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="l2p", description="Lift points to lines, and recover the points behind a line cloud.")
     parser.add_argument("--version", action="version", version=f"l2p {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_add_lift, _add_recover, _add_evaluate, _add_info, _add_demo):
+    for add in (_add_lift, _add_recover, _add_evaluate, _add_audit, _add_view, _add_info, _add_demo):
         add(commands)
     return parser
 
@@ -103,15 +104,26 @@ def _add_recover(commands: Any) -> None:
     )
     recover.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help="the attack (default: %(default)s)")
     recover.add_argument(
+        "--checkpoint",
+        metavar="FILE",
+        help="learned only: weights that python -m train wrote (default: those installed with l2p)",
+    )
+    recover.add_argument(
         "--scene-kind", choices=SCENE_KINDS, help="heuristic only: neighbour counts to use (default: indoor)"
     )
     recover.add_argument(
         "--density",
         type=float,
         metavar="F",
-        help="heuristic only: share of the scene's points that the lines hold, in (0, 1] (default: 1)",
+        help="learned and heuristic: share of the scene's points that the lines hold, in (0, 1] (default: 1); the "
+        "heuristic chooses its neighbour counts by it, learned the distance that its confidence is about",
     )
-    recover.add_argument("--rounds", type=int, metavar="R", help="rounds of refinement (default: the method's own)")
+    recover.add_argument(
+        "--rounds",
+        type=int,
+        metavar="R",
+        help="rounds of refinement (default: the method's own, which is the most that learned has)",
+    )
     _add_filters(recover)
     recover.add_argument("--model", metavar="MODEL", help="for a COLMAP model: the model that was lifted")
     recover.add_argument(
@@ -132,7 +144,8 @@ def _add_filters(recover: argparse.ArgumentParser) -> None:
         type=float,
         metavar="C",
         help="drop less confident points from a PLY or COLMAP model; an npz, which keeps the order of the lines, "
-        "marks the others in its array kept",
+        "marks the others in its array kept. In [0, 1]: with learned the probability of lying within one spacing, "
+        "with other methods a number that only ranks",
     )
     recover.add_argument(
         "--clean",
@@ -150,8 +163,54 @@ def _add_evaluate(commands: Any) -> None:
     _add_force(evaluate)
 
 
+def _add_audit(commands: Any) -> None:
+    audit = _command(commands, "audit", "tell what could be got back of a map, as a page to look at")
+    audit.add_argument(
+        "scene", metavar="SCENE", help="COLMAP model folder, PLY or npz; or a line cloud, of which less can be told"
+    )
+    audit.add_argument(
+        "-o", dest="output", metavar="REPORT_DIR", required=True, help="folder to write: index.html, audit.json"
+    )
+    audit.add_argument(
+        "--fractions",
+        type=float,
+        nargs="+",
+        metavar="F",
+        help="shares of the points to publish, in (0, 1] (default: 1 0.5 0.1 0.05); not with a line cloud",
+    )
+    audit.add_argument(
+        "--seed", type=_seed, default=0, metavar="S", help="seed of the line clouds (default: %(default)s)"
+    )
+    audit.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help="the attack (default: %(default)s)")
+    audit.add_argument(
+        "--checkpoint", metavar="FILE", help="learned only: other weights (default: those installed with l2p)"
+    )
+    audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
+    audit.add_argument(
+        "--max-view-points",
+        type=int,
+        default=MOST_POINTS,
+        metavar="N",
+        help="points of each cloud that the page draws; the figures count all (default: %(default)s)",
+    )
+    audit.add_argument("--device", default="cpu", help="torch device (default: %(default)s)")
+    audit.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
+    _add_json(audit, "FILE", "the figures of audit.json")
+    _add_force(audit)
+
+
+def _add_view(commands: Any) -> None:
+    view = _command(commands, "view", "show a scene, a line cloud or a recovery on a page")
+    view.add_argument("file", metavar="FILE", help="a scene, line cloud, recovery or truth, or a COLMAP model folder")
+    view.add_argument(
+        "-o", dest="output", metavar="PAGE.html", help="page to write (default: one in the folder of temporary files)"
+    )
+    view.add_argument("--window", action="store_true", help="open a window instead (Open3D; needs a display)")
+    _add_force(view)
+
+
 def _add_info(commands: Any) -> None:
-    info = _command(commands, "info", "say what a file is: scene, line cloud, recovery or truth")
+    info = _command(commands, "info", "say what a file is: scene, line cloud, recovery, truth or checkpoint")
     info.add_argument("file", metavar="FILE", help="any file that l2p reads, or a COLMAP model folder")
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
+import tempfile
+import webbrowser
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +19,9 @@ from jaxtyping import Bool, Int, UInt8
 
 from l2p.clean import inliers, load_open3d
 from l2p.errors import InputError
-from l2p.io.atomic import atomic_file, check_file
+from l2p.io.atomic import atomic_file, check_file, check_folder
 from l2p.io.colmap import check_ids, check_model_output, save_recovered_model
+from l2p.io.kinds import LINE_CLOUDS, kind_of
 from l2p.io.line_files import line_ending, load_lines, save_lines
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth, truth_bytes
@@ -62,6 +66,7 @@ def recover(arguments: Namespace) -> None:
     recovery = attack(
         lines,
         arguments.method,
+        checkpoint=arguments.checkpoint,
         rounds=arguments.rounds,
         scene_kind=arguments.scene_kind,
         density=arguments.density,
@@ -96,6 +101,68 @@ def evaluate(arguments: Namespace) -> None:
         pass
     if arguments.json != "-":
         print_scores(columns)
+
+
+def audit(arguments: Namespace) -> None:
+    """``l2p audit``."""
+    from l2p.auditing import audit as examine
+    from l2p.page.report import FILES, PAGE, figures_of, save_report
+    from l2p.page.words import headline, sparser
+
+    _check_report(arguments, FILES)
+    lines_given = kind_of(arguments.scene) in LINE_CLOUDS
+    scene = load_lines(arguments.scene) if lines_given else load_scene(arguments.scene)
+    _set_threads(arguments.threads)
+    found = examine(
+        scene,
+        arguments.fractions,
+        arguments.seed,
+        method=arguments.method,
+        checkpoint=arguments.checkpoint,
+        metric=arguments.metric,
+        device=arguments.device,
+        progress=terminal_progress(),
+        name=_shown(arguments.scene),
+    )
+    command = _audit_command(arguments, lines_given)
+    with _json(arguments, figures_of(found, command)):
+        save_report(
+            found,
+            arguments.output,
+            overwrite=arguments.force,
+            command=command,
+            most_points=arguments.max_view_points,
+        )
+    if arguments.json != "-":
+        if found.known:
+            print_scores({f"{100 * trial.fraction:g} %": trial.scores for trial in found.trials if trial.scores})
+        for sentence in filter(None, (headline(found), sparser(found))):
+            print(sentence.replace("\N{NO-BREAK SPACE}", " "))
+        print(f"The report is {Path(arguments.output) / PAGE}")
+
+
+def view(arguments: Namespace) -> None:
+    """``l2p view``."""
+    from l2p.exhibit import Exhibit
+    from l2p.page.file_view import view_page
+    from l2p.window import check_window, has_display, show
+
+    if arguments.window and arguments.output is not None:
+        raise InputError(f"got --window and -o {arguments.output}; expected one of them")
+    if arguments.window:
+        check_window()
+    _check_outputs([arguments.file], [arguments.output], arguments.force)
+    exhibit, name = Exhibit.load(arguments.file), _shown(arguments.file)
+    if arguments.window:
+        show(exhibit, name)
+        return
+    page = view_page(exhibit, name, kind_of(arguments.file).value)
+    output = arguments.output or os.path.join(tempfile.mkdtemp(prefix="l2p-view-"), "view.html")
+    with atomic_file(output, overwrite=arguments.force) as file:
+        file.write(page)
+    print(output)
+    if arguments.output is None and has_display():
+        webbrowser.open(Path(output).as_uri())
 
 
 def info(arguments: Namespace) -> None:
@@ -146,17 +213,55 @@ def _truth(scene: Scene, index: Int[np.ndarray, " lines"], seed: int | None) -> 
 def _check_recover(arguments: Namespace) -> None:
     """Everything that can be refused before the lines are read."""
     model_output = _model_output(arguments)
-    inputs = [path for path in (arguments.lines, arguments.model, arguments.truth) if path is not None]
+    given = (arguments.lines, arguments.model, arguments.truth, arguments.checkpoint)
+    inputs = [path for path in given if path is not None]
     outputs = [_file(arguments.json)] if model_output else [arguments.output, _file(arguments.json)]
     _check_outputs(inputs, outputs, arguments.force)
     if model_output:
         check_model_output(arguments.model, arguments.output, overwrite=arguments.force)
     if arguments.min_confidence is not None and not 0 <= arguments.min_confidence <= 1:
         raise InputError(f"got --min-confidence {arguments.min_confidence}; expected a number in [0, 1]")
-    if arguments.threads is not None and arguments.threads < 1:
-        raise InputError(f"got --threads {arguments.threads}; expected at least 1")
+    _check_threads(arguments.threads)
     if arguments.clean:
         load_open3d()
+
+
+def _check_report(arguments: Namespace, files: Iterable[str]) -> None:
+    """Everything about an audit that can be refused before the scene is read."""
+    inputs = [path for path in (arguments.scene, arguments.checkpoint) if path is not None]
+    _check_outputs(inputs, [_file(arguments.json)], arguments.force)
+    check_folder(arguments.output, overwrite=arguments.force, replaceable=frozenset(files))
+    report = Path(os.path.realpath(arguments.output))
+    for path in (*inputs, _file(arguments.json)):
+        if path is not None and Path(os.path.realpath(path)).is_relative_to(report):
+            raise InputError(f"{path} is in {arguments.output}; expected a report folder with nothing else in it")
+    _check_threads(arguments.threads)
+    if arguments.max_view_points < 1:
+        raise InputError(f"got --max-view-points {arguments.max_view_points}; expected at least 1")
+
+
+def _audit_command(arguments: Namespace, lines_given: bool) -> str:
+    """The command line that gives this audit again."""
+    words = ["l2p", "audit", arguments.scene, "-o", arguments.output]
+    if arguments.fractions is not None:
+        words += ["--fractions", *(f"{share:.15g}" for share in arguments.fractions)]
+    words += [] if lines_given else ["--seed", str(arguments.seed)]
+    words += ["--method", arguments.method]
+    for flag in ("checkpoint", "device", "threads"):
+        value = getattr(arguments, flag)
+        words += [] if value is None else [f"--{flag}", str(value)]
+    words += ["--metric"] if arguments.metric else []
+    return _shown(shlex.join(words))
+
+
+def _shown(path: str) -> str:
+    """A path as text; its bytes need be none."""
+    return os.fsencode(path).decode("utf-8", errors="replace")
+
+
+def _check_threads(threads: int | None) -> None:
+    if threads is not None and threads < 1:
+        raise InputError(f"got --threads {threads}; expected at least 1")
 
 
 def _model_output(arguments: Namespace) -> bool:

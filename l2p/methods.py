@@ -14,5 +14,8 @@ SETTINGS = {
     "scene_kind": ("heuristic",),
 }
 
+#: Methods whose confidence is a probability, calibrated on held-back maps; that of the others only ranks.
+CALIBRATED = ("learned",)
+
 #: What the heuristic's table of neighbours distinguishes.
 SCENE_KINDS = ("indoor", "outdoor")

@@ -25,13 +25,14 @@ LAZY = HEAVY - {"torch"}
 ORDER = [
     *("errors", "methods", "progress", "point_neighbors"),
     *("lines", "geometry", "frame", "recovery", "scene"),
-    *("lifting", "search", "peak", "octree", "tomography", "neighborhoods"),
+    *("lifting", "point_tree", "point_search", "search", "peak", "octree", "tomography", "neighborhoods"),
     *("features", "network", "learned", "checkpoint", "attack"),
     *("metrics", "oracles", "simulator", "clean"),
-    *("io", "tables", "pictures", "demo", "commands", "cli", "__main__"),
+    *("curves", "provenance", "auditing"),
+    *("io", "tables", "pictures", "demo", "exhibit", "window", "page", "commands", "cli", "__main__"),
 ]
 #: Calls like ``LineCloud.load`` that open a file: the only imports against the order, inside functions.
-DOORS = {("lines", "io"), ("recovery", "io"), ("scene", "io"), ("checkpoint", "io")}
+DOORS = {("lines", "io"), ("recovery", "io"), ("scene", "io"), ("checkpoint", "io"), ("auditing", "page")}
 #: What knows the truth: an attack must not reach it.
 TRUTH = {"scene", "metrics", "oracles", "simulator"}
 
@@ -133,16 +134,42 @@ def test_version_heads_the_changelog():
 def test_wheel_ships_the_whole_package_and_nothing_else():
     config = (ROOT / "pyproject.toml").read_text()
     assert '[tool.hatch.build.targets.wheel]\npackages = ["l2p"]' in config
-    assert (PACKAGE / "py.typed").is_file()
 
 
-@pytest.mark.parametrize("file", ["l2p/py.typed", "l2p/weights/shipped.safetensors", "l2p/weights/README.md"])
-def test_package_data_are_not_ignored(file):
+@pytest.mark.parametrize(
+    "file",
+    [
+        "l2p/py.typed",
+        *("l2p/weights/learned.safetensors", "l2p/weights/README.md"),
+        *(f"l2p/page/templates/{name}" for name in ("audit.html", "page.css", "viewer.js")),
+    ],
+)
+def test_package_data_are_there_and_not_ignored(file):
     """Hatchling leaves out what git ignores."""
+    assert (ROOT / file).is_file()
     if not (ROOT / ".git").exists():
         pytest.skip("not a git checkout")
     ignored = subprocess.run(["git", "check-ignore", "-q", file], cwd=ROOT, check=False).returncode
     assert ignored == 1
+
+
+def test_shipped_weights_are_installed_beside_the_code_and_say_how_they_were_made():
+    from l2p.checkpoint import read, shipped
+    from l2p.learned import LearnedConfig
+    from l2p.network import NetworkConfig
+
+    assert shipped() == PACKAGE / "weights" / "learned.safetensors"
+    checkpoint = read(shipped())
+    assert isinstance(checkpoint.network.config, NetworkConfig) and isinstance(checkpoint.config, LearnedConfig)
+    assert checkpoint.config.rounds >= 1
+    assert {"command", "commit", "seed", "scenes", "steps", "minutes", "results"} <= set(checkpoint.facts)
+    assert checkpoint.facts["results"], "figures on line clouds that were held back"
+
+
+def test_shipped_weights_recover_a_room():
+    points = l2p.simulate("room", 800, seed=5).xyz
+    lines, index = l2p.lift_indexed(points, seed=5)
+    assert l2p.evaluate(l2p.recover(lines), points[index]).within_spacings["1"] > 0.6
 
 
 @pytest.mark.parametrize("file", modules(), ids=lambda file: str(file.relative_to(ROOT)))
