@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,9 @@ from l2p.cli import main
 from l2p.io.line_files import load_lines
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
+
+#: The cheapest attack, where any will do.
+TOMOGRAPHY = ("--method", "tomography", "--rounds", 0)
 
 
 @pytest.fixture
@@ -89,7 +93,7 @@ def test_lift_with_a_seed_gives_the_same_bytes(tmp_path, scene):
 
 def test_recover_and_evaluate(tmp_path, lifted, capsys):
     out = tmp_path / "out.npz"
-    assert run("recover", lifted[0], "-o", out, "--rounds", 1, "--threads", 1) == 0
+    assert run("recover", lifted[0], "-o", out, "--threads", 1) == 0
     assert "300 of 300 points" in capsys.readouterr().out
     lines, recovery = load_lines(lifted[0]), load_recovery(out)
     np.testing.assert_allclose(np.cross(recovery.xyz, lines.direction), lines.moment, atol=1e-9)
@@ -109,7 +113,7 @@ def test_recover_and_evaluate(tmp_path, lifted, capsys):
 
 def test_the_same_recovery_gives_the_same_bytes(tmp_path, lifted):
     for name in ("a.npz", "b.npz"):
-        assert run("recover", lifted[0], "-o", tmp_path / name, "--rounds", 1) == 0
+        assert run("recover", lifted[0], "-o", tmp_path / name) == 0
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
@@ -124,14 +128,14 @@ def test_stats_say_what_was_run(tmp_path, lifted, capsys):
     assert figures["lines"] == figures["kept"] == 300
     assert figures["seconds"] > 0
     capsys.readouterr()
-    assert run("recover", lifted[0], "-o", tmp_path / "b.npz", "--rounds", 0, "--json", "-") == 0
+    assert run("recover", lifted[0], "-o", tmp_path / "b.npz", *TOMOGRAPHY, "--json", "-") == 0
     assert json.loads(capsys.readouterr().out)["lines"] == 300
 
 
 def test_filters_mark_points_in_npz_and_drop_them_from_ply(tmp_path, lifted, capsys):
-    assert run("recover", lifted[0], "-o", tmp_path / "all.npz", "--rounds", 0) == 0
+    assert run("recover", lifted[0], "-o", tmp_path / "all.npz", *TOMOGRAPHY) == 0
     middle = float(np.median(load_recovery(tmp_path / "all.npz").confidence))
-    words = ("--rounds", 0, "--min-confidence", middle, "--clean")
+    words = (*TOMOGRAPHY, "--min-confidence", middle, "--clean")
     assert run("recover", lifted[0], "-o", tmp_path / "out.npz", *words) == 0
     assert run("recover", lifted[0], "-o", tmp_path / "out.ply", *words) == 0
     recovery = load_recovery(tmp_path / "out.npz")
@@ -151,9 +155,9 @@ def test_a_colmap_model_comes_back_with_its_points_moved(tmp_path, model):
 
     lines, truth, out = tmp_path / "lines.npz", tmp_path / "truth.npz", tmp_path / "out"
     assert run("lift", model, "-o", lines, "--truth", truth, "--fraction", 0.5) == 0
-    words = ("--rounds", 0, "--model", model, "--truth", truth)
+    words = (*TOMOGRAPHY, "--model", model, "--truth", truth)
     assert run("recover", lines, "-o", out, *words) == 0
-    assert run("recover", lines, "-o", tmp_path / "out.npz", "--rounds", 0) == 0
+    assert run("recover", lines, "-o", tmp_path / "out.npz", *TOMOGRAPHY) == 0
     moved, ids = pycolmap.Reconstruction(str(out)), load_truth(truth).ids
     assert ids is not None
     assert set(moved.point3D_ids()) == set(ids.tolist())
@@ -164,9 +168,57 @@ def test_a_colmap_model_comes_back_with_its_points_moved(tmp_path, model):
     assert run("recover", lines, "-o", model, *words, "--force") == 2
 
 
-def test_info_knows_every_kind(tmp_path, scene, lifted, model, capsys):
-    assert run("recover", lifted[0], "-o", tmp_path / "out.npz", "--rounds", 0) == 0
-    assert run("recover", lifted[0], "-o", tmp_path / "out.ply", "--rounds", 0) == 0
+def test_a_checkpoint_of_ones_own_is_used_and_named(tmp_path, lifted, tiny_checkpoint, capsys):
+    out, stats = tmp_path / "out.npz", tmp_path / "stats.json"
+    words = ("--checkpoint", tiny_checkpoint, "--rounds", 1, "--density", 0.5)
+    assert run("recover", lifted[0], "-o", out, *words, "--json", stats) == 0
+    settings = json.loads(stats.read_text())["settings"]
+    assert settings["checkpoint"] == "tiny.safetensors"
+    assert (settings["rounds"], settings["density"], settings["candidates"]) == (1, 0.5, 16)
+    capsys.readouterr()
+    assert run("info", out) == 0
+    assert f"tiny.safetensors ({settings['digest']})" in capsys.readouterr().out
+    assert run("info", tiny_checkpoint) == 0
+    assert settings["digest"] in capsys.readouterr().out
+
+
+def test_info_says_how_a_checkpoint_was_trained(tiny_checkpoint, capsys):
+    from l2p.checkpoint import read
+
+    parameters = sum(value.numel() for value in read(tiny_checkpoint).network.parameters())
+    assert run("info", tiny_checkpoint) == 0
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in capsys.readouterr().out.splitlines()]
+    for row in (
+        ["parameters", str(parameters)],
+        ["width, layers, heads", "8, 1, 2"],
+        ["rounds", "2"],
+        ["candidates", "16"],
+        ["trained at commit", "0123abcd"],
+        ["seed", "11"],
+        ["training steps", "1234"],
+        ["training minutes", "56.7"],
+        ["training scenes", "3"],
+        ["[b]ell", "5%", "700", "0.412 0.331", "58.0% 66.4%", "89.5%", "0.021"],
+    ):
+        assert row in rows
+
+
+@pytest.mark.parametrize(
+    "facts", [{}, {"results": []}, {"results": 7, "scenes": 3}, {"results": [{"median": ["x", None]}, 5]}]
+)
+def test_info_of_a_checkpoint_needs_no_facts(tmp_path, tiny_checkpoint, facts, capsys):
+    from l2p.checkpoint import read, save
+
+    path = tmp_path / "other.safetensors"
+    save(path, replace(read(tiny_checkpoint), facts=facts))
+    assert run("info", path) == 0
+    assert "unknown" in capsys.readouterr().out
+
+
+def test_info_knows_every_kind(tmp_path, scene, lifted, model, tiny_checkpoint, capsys):
+    assert run("recover", lifted[0], "-o", tmp_path / "out.npz", *TOMOGRAPHY) == 0
+    assert run("recover", lifted[0], "-o", tmp_path / "out.ply", *TOMOGRAPHY) == 0
+    (tmp_path / "braces.txt").write_text("# a text{}\n1 2 3 0 0 1\n")
     (tmp_path / "lines.csv").write_text("1,2,3,0,0,1\n")
     for path, kind in (
         (scene, "a scene (npz)"),
@@ -176,6 +228,8 @@ def test_info_knows_every_kind(tmp_path, scene, lifted, model, capsys):
         (tmp_path / "out.ply", "a point cloud (PLY)"),
         (model, "a COLMAP model"),
         (tmp_path / "lines.csv", "a line cloud (text)"),
+        (tmp_path / "braces.txt", "a line cloud (text)"),
+        (tiny_checkpoint, "a checkpoint (safetensors)"),
     ):
         capsys.readouterr()
         assert run("info", path) == 0
@@ -223,7 +277,7 @@ def test_commands_load_only_what_they_use(scene):
 def test_every_flag_with_a_default_says_so(capsys):
     for command, flags in {
         "lift": ["--fraction", "--scheme"],
-        "recover": ["--method", "--device", "--density"],
+        "recover": ["--method", "--checkpoint", "--device", "--density", "--rounds"],
     }.items():
         with pytest.raises(SystemExit):
             main([command, "--help"])
@@ -277,7 +331,7 @@ def test_ctrl_c_between_two_outputs_leaves_neither(tmp_path, lifted, monkeypatch
 
     monkeypatch.setattr("l2p.io.recovery_files.npz_bytes", interrupted)
     before = sorted(os.listdir(tmp_path))
-    words = ("--rounds", 0, "--json", tmp_path / "stats.json")
+    words = (*TOMOGRAPHY, "--json", tmp_path / "stats.json")
     assert run("recover", lifted[0], "-o", tmp_path / "out.npz", *words) == 130
     assert capsys.readouterr().err == "l2p: interrupted; nothing was written\n"
     assert sorted(os.listdir(tmp_path)) == before
