@@ -18,13 +18,14 @@ from eval.figures import draw_figures
 from eval.memory import cores, fitting
 from eval.parallel import outcomes
 from eval.pictures import check_pictures, draw_pictures
-from eval.provenance import commit, machine, source_digest, versions
+from eval.provenance import commit, source_digest
 from eval.scenes import load, scenes_of
 from eval.scoring import Row, score, write_results
 from eval.tables import Image, Table, document, print_tables, tables, updated
 from eval.targets import References, target_table
 from l2p.io.atomic import atomic_file
 from l2p.progress import terminal_progress
+from l2p.provenance import machine, versions
 
 log = logging.getLogger("eval")
 

@@ -1,14 +1,11 @@
-"""What made a result: commit, sources, machine, versions."""
+"""What made a result: commit and sources."""
 
 from __future__ import annotations
 
 import hashlib
-import os
-import platform
 import subprocess
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import l2p
 
@@ -17,11 +14,11 @@ PACKAGE = Path(l2p.__file__).parent
 
 @cache
 def commit() -> str | None:
-    """The commit of the working tree, with ``+`` after it where l2p/ or eval/ differ from it; None without git."""
+    """The commit of the working tree, with ``+`` after it where the programs differ from it; None without git."""
     head = _git("rev-parse", "HEAD")
     if not head:
         return None
-    return head + ("+" if _git("status", "--porcelain", "--", "l2p", "eval") else "")
+    return head + ("+" if _git("status", "--porcelain", "--", "l2p", "eval", "train", "configs") else "")
 
 
 @cache
@@ -35,29 +32,6 @@ def source_digest(*names: str) -> str:
     return digest.hexdigest()[:12]
 
 
-def machine() -> dict[str, Any]:
-    """Processor, cores, memory and system."""
-    return {
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
-        "system": platform.platform(),
-    }
-
-
-def versions() -> dict[str, str]:
-    """Versions that results may depend on."""
-    import numpy
-    import torch
-
-    return {
-        "l2p": l2p.__version__,
-        "python": platform.python_version(),
-        "torch": torch.__version__,
-        "numpy": numpy.__version__,
-    }
-
-
 def _git(*arguments: str) -> str:
     try:
         done = subprocess.run(
@@ -66,11 +40,3 @@ def _git(*arguments: str) -> str:
     except (OSError, subprocess.SubprocessError):
         return ""
     return done.stdout.strip()
-
-
-def _processor() -> str:
-    try:
-        rows = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((row.split(":", 1)[1].strip() for row in rows if row.startswith("model name")), platform.machine())

@@ -20,13 +20,14 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 
-from eval.provenance import commit, machine, versions
+from eval.provenance import commit
 from l2p import checkpoint
 from l2p.checkpoint import Checkpoint
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.network import LineTransformer
 from l2p.progress import terminal_progress
+from l2p.provenance import machine, versions
 from train.clouds import lifted
 from train.config import CHANGEABLE, Settings
 from train.judging import Judged, calibrate, figures, rounds_of
