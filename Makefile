@@ -17,7 +17,7 @@ export OMP_WAIT_POLICY ?= PASSIVE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint types clean
+.PHONY: help demo test lint types docs clean
 
 help:  ## Show this list.
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -33,6 +33,10 @@ lint: $(INSTALLED_DEV)  ## Check style (ruff).
 
 types: $(INSTALLED_DEV)  ## Check types (pyright).
 	@$(BIN)/pyright
+
+docs: $(INSTALLED_DEV)  ## Build the documentation into build/site; a warning, such as a dead link, is an error.
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	@echo "The documentation is build/site/index.html."
 
 clean:  ## Remove the virtual environment, caches and the demo's output.
 	rm -rf $(VENV) demo-output dist build .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,100 @@
+"""How much of a map comes back from its line cloud? One map, step by step: python examples/audit_a_map.py -o report
+
+Without a map a room is simulated. `l2p audit` makes a whole page of this; here are the steps to build on.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float
+
+import l2p
+from l2p.metrics import errors, spacing
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+#: Errors of this many spacings and more have the darkest colour.
+WORST = 2.0
+
+
+def main() -> None:
+    """Lift, recover, evaluate, and leave behind what there is to look at."""
+    arguments = _arguments()
+    folder = Path(arguments.output)
+    folder.mkdir(parents=True, exist_ok=True)
+
+    # The map: what its owner has. Points (points, 3), in metres here.
+    if arguments.map is None:
+        scene = l2p.simulate("room", points=arguments.points, seed=0)
+    else:
+        scene = l2p.Scene.load(arguments.map)
+    unit = spacing(scene.xyz)
+
+    # The line cloud: what would be published. `index` says which point is behind each line, and stays with the owner.
+    lines, index = l2p.lift_indexed(scene.xyz, fraction=arguments.fraction)
+    truth = scene.xyz[index]
+    lines.save(folder / "lines.npz", overwrite=True)
+
+    # The attack: what anybody can compute from the lines.
+    recovery = l2p.recover(lines, method=arguments.method)
+    recovery.save(folder / "recovered.ply", overwrite=True)
+
+    # The verdict: by the owner, who knows the truth.
+    scores = l2p.evaluate(recovery, truth, unit)
+    print(f"{scores.lines} lines, spacing {unit:.3g}")
+    print(f"median error: {scores.median:.3g}, which is {scores.median_spacings:.2f} spacings")
+    print(f"within 1 spacing: {scores.within_spacings['1']:.0%} of all points,", end=" ")
+    print(f"{scores.confident_half:.0%} of the most confident half")
+
+    draw(folder / "audit.png", truth, recovery.xyz, errors(recovery.xyz, truth) / unit)
+    print(f"Look at {folder / 'audit.png'}, and at {folder / 'recovered.ply'} in any viewer.")
+
+
+def draw(
+    file: Path,
+    truth: Float[np.ndarray, "lines 3"],
+    recovered: Float[np.ndarray, "lines 3"],
+    error: Float[np.ndarray, " lines"],
+) -> None:
+    """The true points beside the recovered ones, along the two longest axes of the map; ``error`` in spacings."""
+    # Of the inner points: a few far ones would turn and shrink the picture.
+    centre = np.median(truth, axis=0)
+    distance = np.linalg.norm(truth - centre, axis=1)
+    inner = truth[distance <= 2 * np.median(distance)] - centre
+    axes = np.linalg.svd(inner, full_matrices=False)[2][:2]
+    true_place, place = (truth - centre) @ axes.T, (recovered - centre) @ axes.T
+    low, high = (inner @ axes.T).min(axis=0), (inner @ axes.T).max(axis=0)
+    margin = 0.1 * (high - low)
+    figure, panels = plt.subplots(1, 2, figsize=(12, 5.5), layout="constrained", sharex=True, sharey=True)
+    panels[0].scatter(*true_place.T, s=3, color="0.35", linewidths=0)
+    panels[0].set_title("the map")
+    # The right ones on top.
+    order = np.argsort(-error)
+    shown = panels[1].scatter(*place[order].T, s=3, c=error[order], cmap="viridis_r", vmin=0, vmax=WORST, linewidths=0)
+    panels[1].set_title("recovered from its line cloud")
+    for panel in panels:
+        panel.set(xlim=(low[0] - margin[0], high[0] + margin[0]), ylim=(low[1] - margin[1], high[1] + margin[1]))
+        panel.set_aspect("equal")
+        panel.set_axis_off()
+    figure.colorbar(shown, ax=panels, label="error (spacings)", extend="max")
+    figure.savefig(file, dpi=120)
+    plt.close(figure)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("map", nargs="?", metavar="MAP", help="COLMAP model folder, PLY or npz (default: a room)")
+    parser.add_argument("-o", dest="output", default="audit-output", metavar="DIR", help="default: %(default)s")
+    parser.add_argument("--method", default="learned", help="learned, tomography or heuristic (default: %(default)s)")
+    parser.add_argument("--fraction", type=float, default=1.0, help="share of the points (default: %(default)s)")
+    parser.add_argument("--points", type=int, default=3000, help="of the simulated room (default: %(default)s)")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
