@@ -2,7 +2,8 @@
 
 Every distance is a matrix product of small rank, so a block of queries against a block of the others is a few fused
 passes over a tile that fits the cache, followed by a selection of the k smallest. No array grows with lines x lines:
-a tile holds ``TILE`` numbers, the answer lines x k.
+a tile holds ``TILE`` numbers, the answer lines x k. Among ``MANY`` points, those nearest to lines are found by a tree
+(:mod:`l2p.point_search`).
 
 Self (query i against other i) is never a neighbour. Parallel pairs of lines have no distance. Rows are sorted by
 distance; where a query has fewer than k neighbours, the rest is index -1 at distance infinity. With k >= lines the
@@ -20,10 +21,14 @@ from torch import Tensor
 
 from l2p.geometry import PARALLEL, Lines, line_line_distance, point_line_distance
 from l2p.point_neighbors import nearest_neighbors
+from l2p.point_search import nearest_points
+from l2p.point_tree import plant
 from l2p.progress import NO_PROGRESS, Progress
 
 #: Numbers in one tile of distances: 8 MB in single precision, so that a tile and its temporaries stay near the cache.
 TILE = 1 << 21
+#: From this many points on, and 16 a neighbour, a tree of them is faster than all pairs.
+MANY = 1 << 12
 _COLUMNS = 1 << 16
 _GROUP = 8
 
@@ -72,21 +77,31 @@ def nearest_points_to_lines(
 
     With ``scale``, the distance to point j is counted in units of ``scale[j]``: then the dense places that a line
     passes do not crowd out the sparse ones.
+
+    Notes
+    -----
+    O(lines^2) time, O(lines k + tile) memory; from ``MANY`` lines on nearly O(lines) where the points lie on surfaces,
+    O(lines^(4/3)) where they fill space, and up to 256 MB besides the answer.
     """
-    left, right = _residual_factors(lines, points)
+    title = "nearest points to lines"
     unit = torch.ones_like(points[:, 0]) if scale is None else scale
-    right = right / unit[:, None]
+    if len(points) >= max(MANY, 16 * k) and k > 0:
+        index = nearest_points(plant(points, unit), lines, k, progress, title)
+    else:
+        left, right = _residual_factors(lines, points)
+        right = right / unit[:, None]
 
-    def squared(rows: slice, columns: slice) -> Float[Tensor, "rows columns"]:
-        return _sum_of_squares(left[:, rows], right[:, columns])
+        def squared(rows: slice, columns: slice) -> Float[Tensor, "rows columns"]:
+            return _sum_of_squares(left[:, rows], right[:, columns])
 
-    index = _search(squared, len(points), k, points, tile, progress, "nearest points to lines")
+        index = _search(squared, len(points), k, points, tile, progress, title)
 
     def distance(rows: slice, found: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k"]:
         shape = (*found.shape, 3)
         direction, moment = (part[rows][:, None].expand(shape) for part in lines)
-        near = found.clamp_min(0)
-        return point_line_distance(points[near], direction, moment) / unit[near]
+        near = found.clamp_min(0).flatten()
+        place = points.index_select(0, near).view(shape)
+        return point_line_distance(place, direction, moment) / unit.index_select(0, near).view(found.shape)
 
     return _sorted(index, distance, tile)
 
@@ -219,7 +234,7 @@ def _sorted(
     """Distances of the chosen pairs, computed anew pair by pair, and the rows sorted by them."""
     count, k = index.shape
     parts = [torch.empty(0, k, device=index.device)]
-    rows = max(1, tile // max(1, 16 * k))
+    rows = max(1, tile // max(1, 64 * k))
     for begin in range(0, count, rows):
         here = slice(begin, min(begin + rows, count))
         part = distance(here, index[here].long()).masked_fill(index[here] < 0, torch.inf)

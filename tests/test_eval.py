@@ -31,7 +31,7 @@ from l2p.errors import InputError
 from l2p.recovery import Recovery
 
 EXPERIMENTS = (CONFIGS / "experiment").glob("*.yaml")
-METHODS_OF_README = ["heuristic", "tomography", "learned", "oracle 50", "LOO"]
+METHODS_OF_README = ["heuristic", "heuristic with sparse counts", "tomography", "learned", "oracle 50", "LOO"]
 TINY = ["scenes=[sim:room:120:0]", "fractions=[1.0,0.5]", "threads=1"]
 
 #: A user's method, which counts its calls in a file and can be made to fail.
@@ -172,7 +172,7 @@ def test_the_learned_attack_is_run_and_scored(tmp_path: Path, tiny_checkpoint: P
     rows = rows_of(tmp_path)
     assert [row["method"] for row in rows] == ["learned", "tiny"] * 2
     for row in rows:
-        assert 0 < float(row["neighbor_precision"]) < 1
+        assert 0 < float(row["neighbor_precision"]) <= 1
         assert 0 <= float(row["calibration_error"]) <= 1
     assert float(rows[1]["neighbors_used"]) == 16, "all candidates, each weighted by its affinity"
     record = json.loads((tmp_path / "predictions" / "sim-room-120-0_50_0_tiny.json").read_text())

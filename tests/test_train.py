@@ -65,7 +65,7 @@ def assert_same_model(one: Path, other: Path) -> None:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of an uninterrupted debug run."""
     folder = tmp_path_factory.mktemp("run")
-    assert train_all(settings(), folder, COMMAND) == folder / "model.safetensors"
+    assert train_all(settings(), folder, COMMAND, [UNINTERRUPTED]) == folder / "model.safetensors"
     return folder
 
 
@@ -81,17 +81,16 @@ class Stop(lightning.Callback):
 
 
 class Steps(lightning.Callback):
-    """Counts the steps that are done, and keeps round and turn of the pool's clouds at the first of them."""
-
-    count = 0
+    """Keeps round and turn of the pool's clouds before each step that is done."""
 
     def __init__(self) -> None:
-        self.places: dict[int, tuple[int, int]] = {}
+        self.places: list[dict[int, tuple[int, int]]] = []
 
     def on_train_batch_start(self, _: lightning.Trainer, module: Any, *__: object) -> None:
-        if not self.count:
-            self.places = {entry.number: (entry.round, entry.turn) for entry in module.pool.entries}
-        self.count += 1
+        self.places.append({entry.number: (entry.round, entry.turn) for entry in module.pool.entries})
+
+
+UNINTERRUPTED = Steps()
 
 
 # A run
@@ -133,14 +132,15 @@ def test_the_model_recovers_points(trained: Path, scene_points: np.ndarray) -> N
 # Interrupted
 
 
-@pytest.mark.parametrize(
-    ("step", "saved", "cloud", "place"),
-    [(2, 0, 0, (0, 0)), (4, 3, 0, (0, 192)), (10, 9, 0, (1, 256)), (14, 12, 2, (0, 256))],
-    ids=["at the start", "in the first round", "in the second round", "in the next clouds"],
-)
-def test_a_resumed_run_ends_with_the_same_weights(
-    trained: Path, tmp_path: Path, step: int, saved: int, cloud: int, place: tuple[int, int]
-) -> None:
+def test_runs_are_stopped_in_every_round_and_amid_clouds(trained: Path) -> None:
+    """What the next test is about."""
+    places = [place for saved in (0, 3, 9, 12) for place in UNINTERRUPTED.places[saved].items()]
+    assert any(turn > 0 for _, (_, turn) in places) and {round for _, (round, _) in places} == {0, 1}
+    assert any(cloud > 1 for cloud, _ in places)
+
+
+@pytest.mark.parametrize(("step", "saved"), [(2, 0), (4, 3), (10, 9), (14, 12)])
+def test_a_resumed_run_ends_with_the_same_weights(trained: Path, tmp_path: Path, step: int, saved: int) -> None:
     """Also if the kill falls into the middle of a cloud's round."""
     with pytest.raises(OSError, match="switched off"):
         train_all(settings(), tmp_path, COMMAND, [Stop(step)])
@@ -148,7 +148,7 @@ def test_a_resumed_run_ends_with_the_same_weights(
     assert (tmp_path / "last.ckpt").exists() == (saved > 0)
     steps = Steps()
     train_all(settings(), tmp_path, COMMAND, [steps])
-    assert steps.count == 16 - saved and steps.places[cloud] == place
+    assert steps.places == UNINTERRUPTED.places[saved:]
     assert_same_model(trained, tmp_path)
     assert figures(trained) == figures(tmp_path)
 
@@ -160,7 +160,7 @@ def test_a_finished_run_is_not_trained_again(tmp_path: Path) -> None:
     weights, results = load_file(tmp_path / "model.safetensors"), facts(tmp_path)["results"]
     (tmp_path / "model.safetensors").unlink()
     train_all(few, tmp_path, COMMAND, [steps])
-    assert steps.count == 0 and facts(tmp_path)["steps"] == 4 and facts(tmp_path)["results"] == results
+    assert not steps.places and facts(tmp_path)["steps"] == 4 and facts(tmp_path)["results"] == results
     assert all(torch.equal(value, weights[name]) for name, value in load_file(tmp_path / "model.safetensors").items())
 
 
