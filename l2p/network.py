@@ -134,6 +134,9 @@ class PositionAttention(nn.Module):
 class LineTransformer(nn.Module):
     """Judges the candidates of each line on its own: the answer does not depend on the batch."""
 
+    inputs: Tensor
+    votes: Tensor
+
     def __init__(self, config: NetworkConfig | None = None) -> None:
         super().__init__()
         self.config = config or NetworkConfig()

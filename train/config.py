@@ -31,10 +31,9 @@ def _keys_of(kind: type) -> type:
             keys = _keys_of(of)  # type: ignore[arg-type]
             made.append((entry.name, keys, field(default_factory=lambda keys=keys, values=values: keys(**values))))
         elif get_origin(of) is tuple:
-            # OmegaConf knows lists only.
-            made.append(
-                (entry.name, list[get_args(of)[0]], field(default_factory=lambda entry=entry: [*entry.default]))
-            )
+            kept = list[get_args(of)[0]]  # OmegaConf knows no tuples
+            default: Any = entry.default
+            made.append((entry.name, kept, field(default_factory=lambda default=default: list(default))))
         else:
             made.append((entry.name, of, field(default=entry.default)))
     return make_dataclass(f"{kind.__name__}Keys", made)
