@@ -50,7 +50,8 @@ _FARTHEST_CUT = 3.0
 class Nodes(NamedTuple):
     """What is known of every line before a round.
 
-    ``scale``, ``normal``, ``planarity`` and ``crowd`` (mean confidence) describe the estimates around a line's own.
+    ``scale``, ``normal``, ``planarity`` and ``crowd`` (mean confidence) describe the estimates around a line's own;
+    ``typical`` is the median scale of all.
     """
 
     beta: Float[Tensor, " lines"]
@@ -61,6 +62,7 @@ class Nodes(NamedTuple):
     crowd: Float[Tensor, " lines"]
     confidence: Float[Tensor, " lines"]
     state: Float[Tensor, "lines state"]
+    typical: Float[Tensor, ""]
 
 
 class Edges(NamedTuple):
@@ -108,15 +110,17 @@ def surroundings(
     spread = torch.einsum("nka,nkb->nab", (weight * apart).double(), apart.double())
     value, vector = torch.linalg.eigh(spread)
     planarity = ((value[:, 1] - value[:, 0]) / value[:, 2].clamp_min(1e-30)).to(beta.dtype)
+    scale = reach.clamp_min(floor)
     return Nodes(
         beta=beta,
         point=point,
-        scale=reach.clamp_min(floor),
+        scale=scale,
         normal=vector[:, :, 0].to(beta.dtype),
         planarity=planarity,
         crowd=near.mean(dim=1),
         confidence=confidence,
         state=state,
+        typical=scale.median(),
     )
 
 
@@ -127,13 +131,13 @@ def edges(
     valid = candidates >= 0
     index = candidates.clamp_min(0).long()
     own = lines.rows(rows)
-    # One gather for all columns; the numbers of a candidate lie side by side.
-    alone = torch.stack([nodes.scale, nodes.confidence, nodes.planarity, nodes.crowd], dim=1)
-    table = torch.cat([lines.direction, lines.moment, nodes.point, nodes.normal, alone, nodes.state], dim=1)
-    gathered = table[index.flatten()].view(*index.shape, -1)
-    direction, moment, point, normal, alone, state = gathered.split([3, 3, 3, 3, 4, nodes.state.shape[1]], dim=2)
-    scale, confidence, planarity, crowd = alone.unbind(2)
-
+    # Only what the rows need is touched: the cost of a batch does not depend on the number of lines.
+    direction, moment, point, normal = (
+        column[index] for column in (lines.direction, lines.moment, nodes.point, nodes.normal)
+    )
+    scale, confidence, planarity, crowd = (
+        column[index] for column in (nodes.scale, nodes.confidence, nodes.planarity, nodes.crowd)
+    )
     d, o, here = own.direction[:, None], own.foot[:, None], nodes.point[rows][:, None]
     beta = nodes.beta[rows][:, None]
     cosine = (d * direction).sum(-1)
@@ -149,7 +153,6 @@ def edges(
     line_point = (torch.linalg.cross(here.expand_as(direction), direction) - moment).norm(dim=-1)
     # The flip of the direction is taken out: the side where the feet are skewed to is the positive one.
     sign = _side(foot - beta, scale, valid)
-    typical = nodes.scale.median()
     feature = torch.stack(
         [
             sign * _compressed((foot - beta) / scale),
@@ -165,10 +168,10 @@ def edges(
             confidence,
             nodes.confidence[rows][:, None].expand_as(confidence),
             crowd,
-            (scale / typical).log(),
+            (scale / nodes.typical).log(),
             (scale / nodes.scale[rows][:, None]).log(),
-            (line_line / typical + 1e-3).log(),
-            (gap / typical + 1e-3).log(),
+            (line_line / nodes.typical + 1e-3).log(),
+            (gap / nodes.typical + 1e-3).log(),
             slope.abs(),
             planarity,
             sign * _compressed((foot + cut - beta) / scale),
@@ -180,7 +183,7 @@ def edges(
     ).masked_fill(~valid[..., None], 0)
     cut = torch.maximum(torch.minimum(cut, _FARTHEST_CUT * scale), -_FARTHEST_CUT * scale)
     vote = torch.stack([closest, foot, foot + cut], dim=2) - beta[..., None]
-    return Edges(vote, gap, scale, confidence, feature, state, sign, valid, candidates)
+    return Edges(vote, gap, scale, confidence, feature, nodes.state[index], sign, valid, candidates)
 
 
 def _closest(d: Tensor, o: Tensor, direction: Tensor, moment: Tensor, cosine: Tensor, sine2: Tensor) -> Tensor:
