@@ -25,6 +25,7 @@ from l2p.network import NO_VOTE, NOTHING, RADII, Judgement, LineTransformer
 from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
 from l2p.search import nearest_points_to_lines, nearest_points_to_points
+from l2p.threads import over_blocks
 from l2p.tomography import Posterior, TomographyConfig, mass_within, modes, reconstruct
 
 #: Of the radii, the one that the lines around are told the confidence of.
@@ -108,16 +109,19 @@ def judge_round(
     beta, state = nodes.beta.clone(), torch.zeros_like(nodes.state)
     affinity = torch.zeros_like(candidates, dtype=beta.dtype)
     sure = beta.new_full((count, len(RADII)), NOTHING)
+
+    def judged(block: slice) -> tuple[Judgement, Tensor]:
+        rows = torch.arange(block.start, block.stop, device=candidates.device)
+        judgement = network(edges(lines, nodes, posterior, rows, candidates[rows]))
+        return judgement, weighted_peak(judgement, config)
+
     with progress.task("affinities", total=count) as advance:
-        for begin in range(0, count, config.batch):
-            rows = torch.arange(begin, min(begin + config.batch, count), device=candidates.device)
-            if candidates.shape[1]:
-                near = edges(lines, nodes, posterior, rows, candidates[rows])
-                judgement = network(near)
-                beta[rows] += weighted_peak(judgement, config)
-                state[rows], sure[rows] = judgement.state, judgement.sure
-                affinity[rows] = torch.sigmoid(judgement.affinity)
-            advance(len(rows))
+        if candidates.shape[1]:
+            for block, (judgement, moved) in over_blocks(judged, count, config.batch, candidates.device):
+                beta[block] += moved
+                state[block], sure[block] = judgement.state, judgement.sure
+                affinity[block] = torch.sigmoid(judgement.affinity)
+                advance(block.stop - block.start)
     return Round(surroundings(lines, beta, told(sure), state), candidates, affinity, sure)
 
 

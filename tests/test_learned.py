@@ -63,6 +63,24 @@ def test_batches_change_nothing(lines: LineCloud, first: Recovery) -> None:
     assert_nearly_all_close(first.xyz, run(lines, attack(batch=37)).xyz)
 
 
+def test_threads_change_nothing(lines: LineCloud) -> None:
+    inside, method, before = Frame.of(lines).enter(lines), attack(batch=32), torch.get_num_threads()
+    found = []
+    with torch.inference_mode():
+        posterior = reconstruct(inside)
+        nodes = first_nodes(inside, posterior)
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            try:
+                found.append(judge_round(inside, nodes, posterior, method.network, method.config))
+            finally:
+                torch.set_num_threads(before)
+    one, two = found
+    assert torch.equal(one.nodes.beta, two.nodes.beta)
+    assert torch.equal(one.affinity, two.affinity)
+    assert torch.equal(one.sure, two.sure)
+
+
 def test_flipped_directions_change_nothing(lines: LineCloud, first: Recovery, rng: np.random.Generator) -> None:
     sign = rng.choice([-1.0, 1.0], size=(len(lines), 1))
     assert_nearly_all_close(first.xyz, run(LineCloud(sign * lines.direction, sign * lines.moment), attack()).xyz)

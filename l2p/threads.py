@@ -1,0 +1,50 @@
+"""Blocks of lines on all cores: each block on one thread, several blocks at a time.
+
+Torch's own threads share every single operation, and wait for each other after it. Blocks that fit the cache are far
+too small for that: on a busy machine, or with ``OMP_WAIT_POLICY=PASSIVE``, two such threads are slower than one
+(``benchmarks/block_threads.py``). Blocks that know nothing of each other need not wait.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import torch
+
+Found = TypeVar("Found")
+
+
+def over_blocks(
+    work: Callable[[slice], Found], count: int, size: int, device: torch.device | None = None
+) -> Iterator[tuple[slice, Found]]:
+    """What ``work`` makes of each block of ``size`` of ``count`` rows, in order.
+
+    As many blocks at a time as torch has threads; one after the other on a device that is not the CPU. Torch has one
+    thread meanwhile. The answer does not depend on the number of threads.
+
+    Raises
+    ------
+    Exception
+        What ``work`` raises; no block is begun after it.
+    """
+    blocks = [slice(begin, min(begin + size, count)) for begin in range(0, count, size)]
+    threads = torch.get_num_threads()
+    if threads == 1 or len(blocks) < 2 or (device is not None and device.type != "cpu"):
+        yield from ((block, work(block)) for block in blocks)
+        return
+    # These belong to a thread: the workers take them over.
+    inference, gradients = torch.is_inference_mode_enabled(), torch.is_grad_enabled()
+
+    def worked(block: slice) -> Found:
+        with torch.inference_mode(inference), torch.set_grad_enabled(gradients):
+            return work(block)
+
+    pool = ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,))
+    torch.set_num_threads(1)
+    try:
+        yield from zip(blocks, pool.map(worked, blocks), strict=True)
+    finally:
+        pool.shutdown(cancel_futures=True)
+        torch.set_num_threads(threads)
