@@ -19,17 +19,22 @@ from l2p.tomography import Posterior
 
 #: Neighbours of an estimate that give its local scale and its surface.
 SCALE = 16
+#: Neighbours that give its wide surface: it bends less than things do, but the errors of more estimates cancel out.
+WIDE = 96
 #: Numbers that each line hands to the lines around it in the next round.
 STATE = 8
 #: Where a candidate says that the point is: the closest point to its line, the foot of its estimate, and where the line
-#: cuts the surface around its estimate.
-VOTES = ("closest", "foot", "cut")
+#: cuts the two surfaces around its estimate.
+VOTES = ("closest", "foot", "cut", "wide_cut")
+_SURFACE = ("incidence", "planarity", "linearity", "cut", "foot_off_plane", "closest_off_plane", "own_off_plane")
+_WIDE_SURFACE = tuple(f"wide_{name}" for name in _SURFACE)
 #: Names of the edge features, in order.
 EDGE = (
     *("foot", "closest", "gap", "line_line", "point_line", "line_point", "point_point", "cosine"),
     *("posterior_at_foot", "posterior_at_closest", "confidence", "own_confidence", "crowd"),
     *("log_scale", "log_scale_ratio", "log_line_line", "log_point_line"),
-    *("incidence", "planarity", "cut", "foot_off_plane", "closest_off_plane", "own_off_plane"),
+    *_SURFACE,
+    *_WIDE_SURFACE,
 )
 #: The edge features by what they tell of; each family can be left out of a network to see what it is worth.
 FAMILIES = {
@@ -39,7 +44,8 @@ FAMILIES = {
     "tomography": ("posterior_at_foot", "posterior_at_closest"),
     "confidence": ("confidence", "own_confidence", "crowd"),
     "scale": ("log_scale", "log_scale_ratio"),
-    "surface": ("incidence", "planarity", "cut", "foot_off_plane", "closest_off_plane", "own_off_plane"),
+    "surface": _SURFACE,
+    "wide_surface": _WIDE_SURFACE,
 }
 #: A line nearer to parallel with a surface than this (cosine to the normal) is taken to cut it at this slope.
 _GRAZING = 0.05
@@ -47,18 +53,32 @@ _GRAZING = 0.05
 _FARTHEST_CUT = 3.0
 
 
+class Surface(NamedTuple):
+    """The plane that fits some estimates best: their mean, its normal, and how flat (0 to 1) and how straight (0 to 1)
+    they lie."""
+
+    centre: Float[Tensor, "*lines 3"]
+    normal: Float[Tensor, "*lines 3"]
+    planarity: Float[Tensor, "*lines"]
+    linearity: Float[Tensor, "*lines"]
+
+    def at(self, index: Int[Tensor, "rows k"]) -> Surface:
+        """Those of some lines."""
+        return Surface(*(column[index] for column in self))
+
+
 class Nodes(NamedTuple):
     """What is known of every line before a round.
 
-    ``scale``, ``normal``, ``planarity`` and ``crowd`` (mean confidence) describe the estimates around a line's own;
-    ``typical`` is the median scale of all.
+    ``scale``, ``surface``, ``wide`` (surface of ``WIDE`` neighbours) and ``crowd`` (mean confidence) describe the
+    estimates around a line's own; ``typical`` is the median scale of all.
     """
 
     beta: Float[Tensor, " lines"]
     point: Float[Tensor, "lines 3"]
     scale: Float[Tensor, " lines"]
-    normal: Float[Tensor, "lines 3"]
-    planarity: Float[Tensor, " lines"]
+    surface: Surface
+    wide: Surface
     crowd: Float[Tensor, " lines"]
     confidence: Float[Tensor, " lines"]
     state: Float[Tensor, "lines state"]
@@ -91,36 +111,48 @@ def surroundings(
     confidence: Float[Tensor, " lines"],
     state: Float[Tensor, "lines state"],
 ) -> Nodes:
-    """Local scale and surface of the estimates, from the ``SCALE`` nearest of them; O(lines log lines)."""
+    """Local scale and surfaces of the estimates, from the nearest of them; O(lines log lines)."""
     from scipy.spatial import KDTree
 
     point = lines.at(beta)
     place = point.double().cpu().numpy()
-    k = min(SCALE + 1, len(place))
+    k = min(WIDE + 1, len(place))
     found = KDTree(place).query(place, k, workers=torch.get_num_threads())
     distance, index = (np.reshape(part, (len(place), k)) for part in found)  # SciPy drops the axis of k = 1
-    reach = torch.as_tensor(distance[:, -1], dtype=beta.dtype, device=beta.device)
+    fine = min(SCALE + 1, k)
+    reach = torch.as_tensor(distance[:, fine - 1], dtype=beta.dtype, device=beta.device)
     # Coinciding estimates have no scale of their own; the scene's typical one stands in.
     floor = 1e-3 * reach[reach > 0].median() if (reach > 0).any() else torch.ones(())
     around = torch.as_tensor(index, device=beta.device)
     near = confidence[around]
-    apart, weight = point[around], near + 0.05
-    weight = (weight / weight.sum(dim=1, keepdim=True))[:, :, None]
-    apart = apart - (weight * apart).sum(dim=1, keepdim=True)
-    spread = torch.einsum("nka,nkb->nab", (weight * apart).double(), apart.double())
-    value, vector = torch.linalg.eigh(spread)
-    planarity = ((value[:, 1] - value[:, 0]) / value[:, 2].clamp_min(1e-30)).to(beta.dtype)
     scale = reach.clamp_min(floor)
     return Nodes(
         beta=beta,
         point=point,
         scale=scale,
-        normal=vector[:, :, 0].to(beta.dtype),
-        planarity=planarity,
-        crowd=near.mean(dim=1),
+        surface=_fitted(point[around[:, :fine]], near[:, :fine]),
+        wide=_fitted(point[around], near),
+        crowd=near[:, :fine].mean(dim=1),
         confidence=confidence,
         state=state,
         typical=scale.median(),
+    )
+
+
+def _fitted(near: Float[Tensor, "lines k 3"], confidence: Float[Tensor, "lines k"]) -> Surface:
+    """The surfaces of some estimates each, the more confident ones weighing more."""
+    weight = confidence + 0.05
+    weight = (weight / weight.sum(dim=1, keepdim=True))[:, :, None]
+    centre = (weight * near).sum(dim=1, keepdim=True)
+    apart = near - centre
+    spread = torch.einsum("nka,nkb->nab", (weight * apart).double(), apart.double())
+    value, vector = torch.linalg.eigh(spread)
+    value = (value / value[:, 2:].clamp_min(1e-30)).to(near.dtype)
+    return Surface(
+        centre=centre[:, 0],
+        normal=vector[:, :, 0].to(near.dtype),
+        planarity=value[:, 1] - value[:, 0],
+        linearity=1 - value[:, 1],
     )
 
 
@@ -132,12 +164,8 @@ def edges(
     index = candidates.clamp_min(0).long()
     own = lines.rows(rows)
     # Only what the rows need is touched: the cost of a batch does not depend on the number of lines.
-    direction, moment, point, normal = (
-        column[index] for column in (lines.direction, lines.moment, nodes.point, nodes.normal)
-    )
-    scale, confidence, planarity, crowd = (
-        column[index] for column in (nodes.scale, nodes.confidence, nodes.planarity, nodes.crowd)
-    )
+    direction, moment, point = (column[index] for column in (lines.direction, lines.moment, nodes.point))
+    scale, confidence, crowd = (column[index] for column in (nodes.scale, nodes.confidence, nodes.crowd))
     d, o, here = own.direction[:, None], own.foot[:, None], nodes.point[rows][:, None]
     beta = nodes.beta[rows][:, None]
     cosine = (d * direction).sum(-1)
@@ -145,14 +173,13 @@ def edges(
     foot = (point * d).sum(-1)
     closest = _closest(d, o, direction, moment, cosine, sine2)
     at_foot, at_closest = o + foot[..., None] * d, o + closest[..., None] * d
-    slope = (normal * d).sum(-1)
-    slope = torch.where(slope.abs() < _GRAZING, torch.where(slope < 0, -_GRAZING, _GRAZING), slope)
-    cut = ((point - at_foot) * normal).sum(-1) / slope
     line_line = ((d * moment).sum(-1) + (own.moment[:, None] * direction).sum(-1)).abs() / sine2.sqrt()
     gap = (at_foot - point).norm(dim=-1)
     line_point = (torch.linalg.cross(here.expand_as(direction), direction) - moment).norm(dim=-1)
     # The flip of the direction is taken out: the side where the feet are skewed to is the positive one.
     sign = _side(foot - beta, scale, valid)
+    surfaces = [nodes.surface.at(index), nodes.wide.at(index)]
+    crossings = [_crossing(surface, d, at_foot, at_closest, here) for surface in surfaces]
     feature = torch.stack(
         [
             sign * _compressed((foot - beta) / scale),
@@ -172,23 +199,45 @@ def edges(
             (scale / nodes.scale[rows][:, None]).log(),
             (line_line / nodes.typical + 1e-3).log(),
             (gap / nodes.typical + 1e-3).log(),
-            slope.abs(),
-            planarity,
-            sign * _compressed((foot + cut - beta) / scale),
-            _compressed(((at_foot - point) * normal).sum(-1).abs() / scale),
-            _compressed(((at_closest - point) * normal).sum(-1).abs() / scale),
-            _compressed(((here - point) * normal).sum(-1).abs() / scale),
+            *(
+                number
+                for surface, crossing in zip(surfaces, crossings, strict=True)
+                for number in (
+                    crossing.slope.abs(),
+                    surface.planarity,
+                    surface.linearity,
+                    sign * _compressed((foot + crossing.cut - beta) / scale),
+                    *(_compressed(off.abs() / scale) for off in crossing.off),
+                )
+            ),
         ],
         dim=-1,
     ).masked_fill(~valid[..., None], 0)
-    cut = torch.maximum(torch.minimum(cut, _FARTHEST_CUT * scale), -_FARTHEST_CUT * scale)
-    vote = torch.stack([closest, foot, foot + cut], dim=2) - beta[..., None]
+    farthest = _FARTHEST_CUT * scale
+    cuts = [foot + torch.maximum(torch.minimum(crossing.cut, farthest), -farthest) for crossing in crossings]
+    vote = torch.stack([closest, foot, *cuts], dim=2) - beta[..., None]
     return Edges(vote, gap, scale, confidence, feature, nodes.state[index], sign, valid, candidates)
 
 
 def _closest(d: Tensor, o: Tensor, direction: Tensor, moment: Tensor, cosine: Tensor, sine2: Tensor) -> Tensor:
     other_foot = torch.linalg.cross(direction, moment)
     return ((other_foot * d).sum(-1) + cosine * (o * direction).sum(-1)) / sine2
+
+
+class _Crossing(NamedTuple):
+    """How lines meet the surfaces around their candidates: cosine to the normal, where they cut them, counted from the
+    foot, and how far some places are off them."""
+
+    slope: Float[Tensor, "rows k"]
+    cut: Float[Tensor, "rows k"]
+    off: list[Float[Tensor, "rows k"]]
+
+
+def _crossing(surface: Surface, direction: Tensor, foot: Tensor, *others: Tensor) -> _Crossing:
+    slope = (surface.normal * direction).sum(-1)
+    slope = torch.where(slope.abs() < _GRAZING, torch.where(slope < 0, -_GRAZING, _GRAZING), slope)
+    off = [((place - surface.centre) * surface.normal).sum(-1) for place in (foot, *others)]
+    return _Crossing(slope, -off[0] / slope, off)
 
 
 def _side(

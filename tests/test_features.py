@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 import l2p
-from l2p.features import EDGE, SCALE, STATE, VOTES, Edges, Nodes, edges, surroundings
+from l2p.features import EDGE, SCALE, STATE, VOTES, WIDE, Edges, Nodes, Surface, edges, surroundings
 from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.tomography import Posterior
@@ -74,25 +74,52 @@ def compressed(value: Any) -> float:
     return math.copysign(math.log1p(abs(value)), value)
 
 
-def slow_votes(scene: Scene, nodes: Nodes, i: int, j: int) -> dict[str, Any]:
-    """Where candidate j says that the point of line i is, by solving for it."""
+def slow_cut(scene: Scene, surface: Surface, i: int, j: int) -> float:
+    """Where line i meets the plane of candidate j, by solving for it; grazing lines at the least slope."""
+    o, d = scene.lines.foot[i].numpy(), scene.lines.direction[i].numpy()
+    normal, centre = surface.normal[j].numpy(), surface.centre[j].numpy()
+    slope, foot = normal @ d, float((scene.nodes.point[j].numpy() - o) @ d)
+    if abs(slope) >= 0.05:
+        return float(normal @ (centre - o) / slope)
+    return foot + float(normal @ (centre - o - foot * d)) / math.copysign(0.05, slope)
+
+
+def slow_votes(scene: Scene, nodes: Nodes, i: int, j: int) -> dict[str, float]:
+    """Where candidate j says that the point of line i is."""
     o, d = scene.lines.foot[i].numpy(), scene.lines.direction[i].numpy()
     other, along = scene.lines.foot[j].numpy(), scene.lines.direction[j].numpy()
-    point, normal, scale = nodes.point[j].numpy(), nodes.normal[j].numpy(), float(nodes.scale[j])
+    scale, foot = float(nodes.scale[j]), float((nodes.point[j].numpy() - o) @ d)
+    cuts = (slow_cut(scene, surface, i, j) for surface in (nodes.surface, nodes.wide))
+    cut, wide_cut = (foot + max(-3 * scale, min(3 * scale, cut - foot)) for cut in cuts)
     closest = np.linalg.lstsq(np.stack([d, -along], axis=1), other - o, rcond=None)[0][0]
-    foot = (point - o) @ d
-    slope = normal @ d
-    if abs(slope) < 0.05:
-        slope = math.copysign(0.05, slope)
-    cut = normal @ (point - o - foot * d) / slope
-    return {"closest": closest, "foot": foot, "cut": foot + max(-3 * scale, min(3 * scale, cut)), "unbounded": cut}
+    return {"closest": closest, "foot": foot, "cut": cut, "wide_cut": wide_cut}
+
+
+def slow_surface(scene: Scene, surface: Surface, side: float, i: int, j: int) -> dict[str, float]:
+    """What is told of a surface of candidate j."""
+    o, d = scene.lines.foot[i].numpy(), scene.lines.direction[i].numpy()
+    normal, centre, scale = surface.normal[j].numpy(), surface.centre[j].numpy(), float(scene.nodes.scale[j])
+    votes = slow_votes(scene, scene.nodes, i, j)
+
+    def off(place: np.ndarray) -> float:
+        return compressed(abs(normal @ (place - centre)) / scale)
+
+    return {
+        "incidence": max(0.05, abs(normal @ d)),
+        "planarity": float(surface.planarity[j]),
+        "linearity": float(surface.linearity[j]),
+        "cut": side * compressed((slow_cut(scene, surface, i, j) - float(scene.beta[i])) / scale),
+        "foot_off_plane": off(o + votes["foot"] * d),
+        "closest_off_plane": off(o + votes["closest"] * d),
+        "own_off_plane": off(scene.nodes.point[i].numpy()),
+    }
 
 
 def slow_feature(scene: Scene, nodes: Nodes, side: float, i: int, j: int) -> dict[str, Any]:
     """Every feature by its name."""
     o, d = scene.lines.foot[i].numpy(), scene.lines.direction[i].numpy()
     other, along = scene.lines.foot[j].numpy(), scene.lines.direction[j].numpy()
-    here, point, normal = nodes.point[i].numpy(), nodes.point[j].numpy(), nodes.normal[j].numpy()
+    here, point = nodes.point[i].numpy(), nodes.point[j].numpy()
     scale, beta, typical = float(nodes.scale[j]), float(scene.beta[i]), float(nodes.scale.median())
     votes = slow_votes(scene, nodes, i, j)
     closest, foot = votes["closest"], votes["foot"]
@@ -122,12 +149,8 @@ def slow_feature(scene: Scene, nodes: Nodes, side: float, i: int, j: int) -> dic
         "log_scale_ratio": math.log(scale / float(nodes.scale[i])),
         "log_line_line": math.log(line_line / typical + 1e-3),
         "log_point_line": math.log(gap / typical + 1e-3),
-        "incidence": max(0.05, abs(normal @ d)),
-        "planarity": float(nodes.planarity[j]),
-        "cut": side * compressed((foot + votes["unbounded"] - beta) / scale),
-        "foot_off_plane": compressed(abs(normal @ (o + foot * d - point)) / scale),
-        "closest_off_plane": compressed(abs(normal @ (o + closest * d - point)) / scale),
-        "own_off_plane": compressed(abs(normal @ (here - point)) / scale),
+        **slow_surface(scene, nodes.surface, side, i, j),
+        **{f"wide_{name}": value for name, value in slow_surface(scene, nodes.wide, side, i, j).items()},
     }
 
 
@@ -171,13 +194,17 @@ def test_surroundings_are_those_of_the_nearest_estimates(scene: Scene) -> None:
     points, confidence = nodes.point.numpy(), scene.confidence.numpy()
     for i, point in enumerate(points):
         distance = np.linalg.norm(points - point, axis=1)
-        near = np.argsort(distance)[: SCALE + 1]
-        assert float(nodes.scale[i]) == pytest.approx(distance[near[-1]])
-        assert float(nodes.crowd[i]) == pytest.approx(confidence[near].mean())
-        spread = np.cov(points[near].T, aweights=confidence[near] + 0.05, ddof=0)
-        value, vector = np.linalg.eigh(spread)
-        assert abs(nodes.normal[i].numpy() @ vector[:, 0]) == pytest.approx(1, abs=1e-6)
-        assert float(nodes.planarity[i]) == pytest.approx((value[1] - value[0]) / value[2])
+        near = np.argsort(distance)
+        assert float(nodes.scale[i]) == pytest.approx(distance[near[SCALE]])
+        assert float(nodes.crowd[i]) == pytest.approx(confidence[near[: SCALE + 1]].mean())
+        for surface, count in ((nodes.surface, SCALE), (nodes.wide, WIDE)):
+            some = near[: count + 1]
+            weight = confidence[some] + 0.05
+            value, vector = np.linalg.eigh(np.cov(points[some].T, aweights=weight, ddof=0))
+            np.testing.assert_allclose(surface.centre[i], np.average(points[some], axis=0, weights=weight))
+            assert abs(surface.normal[i].numpy() @ vector[:, 0]) == pytest.approx(1, abs=1e-6)
+            assert float(surface.planarity[i]) == pytest.approx((value[1] - value[0]) / value[2])
+            assert float(surface.linearity[i]) == pytest.approx((value[2] - value[1]) / value[2])
 
 
 def test_a_rigid_motion_and_scale_change_lengths_alone(scene: Scene, rng: np.random.Generator) -> None:
@@ -245,5 +272,7 @@ def test_other_rows_change_nothing(scene: Scene) -> None:
 def test_few_and_coinciding_estimates_have_finite_surroundings(scene: Scene, count: int) -> None:
     lines = Lines(*(part[:1].repeat(count, 1) for part in scene.lines))
     nodes = surroundings(lines, scene.beta[:1].repeat(count), scene.confidence[:count], scene.state[:count])
-    assert all(part.isfinite().all() for part in nodes) and (nodes.scale > 0).all()
-    torch.testing.assert_close(nodes.normal.norm(dim=1), torch.ones(count).double())
+    assert (nodes.scale > 0).all() and nodes.crowd.isfinite().all()
+    for surface in (nodes.surface, nodes.wide):
+        assert all(part.isfinite().all() for part in surface)
+        torch.testing.assert_close(surface.normal.norm(dim=1), torch.ones(count).double())
