@@ -7,6 +7,7 @@ next to it, so that the dense middle of a scene and its far background look alik
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from l2p.geometry import PARALLEL, Lines
+from l2p.threads import over_blocks
 from l2p.tomography import Posterior
 
 #: Neighbours of an estimate that give its local scale and its surface.
@@ -49,6 +51,8 @@ FAMILIES = {
 }
 #: A line nearer to parallel with a surface than this (cosine to the normal) is taken to cut it at this slope.
 _GRAZING = 0.05
+#: Estimates whose surroundings are looked at at a time.
+_BLOCK = 1 << 12
 #: The cut counts as no farther from the foot than this many local scales.
 _FARTHEST_CUT = 3.0
 
@@ -116,27 +120,39 @@ def surroundings(
 
     point = lines.at(beta)
     place = point.double().cpu().numpy()
-    k = min(WIDE + 1, len(place))
-    found = KDTree(place).query(place, k, workers=torch.get_num_threads())
-    distance, index = (np.reshape(part, (len(place), k)) for part in found)  # SciPy drops the axis of k = 1
-    fine = min(SCALE + 1, k)
-    reach = torch.as_tensor(distance[:, fine - 1], dtype=beta.dtype, device=beta.device)
+    tree = KDTree(place)
+    k, fine = (min(count + 1, len(place)) for count in (WIDE, SCALE))
+
+    def around(block: slice) -> tuple[Tensor, Tensor, Surface, Surface]:
+        found = tree.query(place[block], k)
+        distance, index = (np.reshape(part, (-1, k)) for part in found)  # SciPy drops the axis of k = 1
+        near = torch.as_tensor(index, device=beta.device)
+        places, sure = point[near], confidence[near]
+        reach = torch.as_tensor(distance[:, fine - 1], dtype=beta.dtype, device=beta.device)
+        surface = _fitted(places[:, :fine], sure[:, :fine])
+        return reach, sure[:, :fine].mean(dim=1), surface, _fitted(places, sure)
+
+    parts = [part for _, part in over_blocks(around, len(place), _BLOCK, beta.device)]
+    reaches, crowds, surfaces, wides = zip(*parts, strict=True)
+    reach = torch.cat(reaches)
     # Coinciding estimates have no scale of their own; the scene's typical one stands in.
     floor = 1e-3 * reach[reach > 0].median() if (reach > 0).any() else torch.ones(())
-    around = torch.as_tensor(index, device=beta.device)
-    near = confidence[around]
     scale = reach.clamp_min(floor)
     return Nodes(
         beta=beta,
         point=point,
         scale=scale,
-        surface=_fitted(point[around[:, :fine]], near[:, :fine]),
-        wide=_fitted(point[around], near),
-        crowd=near[:, :fine].mean(dim=1),
+        surface=_joined(surfaces),
+        wide=_joined(wides),
+        crowd=torch.cat(crowds),
         confidence=confidence,
         state=state,
         typical=scale.median(),
     )
+
+
+def _joined(surfaces: Sequence[Surface]) -> Surface:
+    return Surface(*(torch.cat(column) for column in zip(*surfaces, strict=True)))
 
 
 def _fitted(near: Float[Tensor, "lines k 3"], confidence: Float[Tensor, "lines k"]) -> Surface:
