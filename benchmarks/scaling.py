@@ -73,7 +73,7 @@ def main() -> None:
         return
     print(f"{given.method}, {given.kind}, {given.threads} thread(s)")
     print(
-        "| lines | seconds | ms a line | ratio to the first | GiB at the peak | median (scene) | spacings | within 1 |"
+        "| lines | seconds | ms a line | ratio to the first | peak GiB | median (scene) | spacings | within 1 |"
     )
     print("|---:|---:|---:|---:|---:|---:|---:|---:|")
     first = None

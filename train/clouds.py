@@ -76,20 +76,20 @@ class Cloud:
         )
 
 
-def lifted(source: CloudSource) -> Cloud:
+def lifted(source: CloudSource, device: torch.device | str = "cpu") -> Cloud:
     """The cloud of a source; the same each time."""
     points = read(source.scene).xyz
     lines, index = lift_indexed(points, source.seed, source.fraction)
     frame = Frame.of(lines)
-    inside = frame.enter(lines)
+    inside = frame.enter(lines, device)
     truth = points[index]
     near = nearest_neighbors(truth, TRUE_NEIGHBORS, workers=torch.get_num_threads()).distance[:, -1]
-    point = frame.enter_points(truth)
+    point = frame.enter_points(truth, device)
     return Cloud(
         lines=inside,
         posterior=reconstruct(inside),
         true_beta=((point - inside.foot) * inside.direction).sum(dim=1),
-        radius=torch.as_tensor(near / frame.unit, dtype=torch.float32),
+        radius=torch.as_tensor(near / frame.unit, dtype=torch.float32, device=device),
         spacing=spacing(truth) / frame.unit,
     )
 

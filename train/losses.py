@@ -32,6 +32,11 @@ class Sample(NamedTuple):
     true_beta: Float[Tensor, " lines"]
     spacing: Float[Tensor, " lines"]
 
+    def to(self, device: torch.device) -> Sample:
+        """The same on another device."""
+        edges = Edges(*(part.to(device) for part in self.edges))
+        return Sample(edges, self.label.to(device), self.true_beta.to(device), self.spacing.to(device))
+
 
 class Losses(NamedTuple):
     """The terms of the loss, whose sum is trained; how far the estimates moved, and their error in spacings."""

@@ -19,7 +19,7 @@ from torch.utils.data import DataLoader
 
 from l2p.features import STATE
 from l2p.learned import LearnedConfig
-from l2p.network import LineTransformer
+from l2p.network import Judgement, LineTransformer
 from train.clouds import CloudSource, lifted
 from train.config import FitSettings
 from train.judging import errors_by_round
@@ -111,10 +111,12 @@ class NetworkModule(lightning.LightningModule):
         """The loss of the next lines of the pool's clouds; what the network says of them stays in the pool."""
         assert self.pool is not None
         sample, rows = self.pool.draw(max(1, self.fit.lines_per_batch // self.fit.clouds))
+        # The pool stays on the CPU, which prepares what is next.
+        sample = sample.to(self.device)
         judgement = self.network(sample.edges)
         probe = self.probe(judgement.state).squeeze(1)
         found = losses(sample, judgement, self.network.log_spread, probe, self.config)
-        self.pool.keep(rows, found.moved, judgement)
+        self.pool.keep(rows, found.moved.cpu(), Judgement(*(part.cpu() for part in judgement)))
         figures = {name: value for name, value in found._asdict().items() if name not in ("moved", "error")}
         figures |= {"median": found.error.median(), "within": (found.error <= 1).float().mean()}
         self.log_dict({f"train/{name}": value for name, value in figures.items()}, batch_size=1)
@@ -138,7 +140,7 @@ class NetworkModule(lightning.LightningModule):
         """All rounds of the averaged network on a held-back cloud; each cloud counts the same."""
         figures = torch.zeros(len(_FIGURES))
         if batch < len(self.held_back):
-            error = errors_by_round(lifted(self.held_back[batch]), self.average.eval(), self.config)[-1]
+            error = errors_by_round(lifted(self.held_back[batch], self.device), self.average.eval(), self.config)[-1]
             # Capped, so that a network that finds a place twice in the same scene is not infinitely good.
             score = error.median().clamp_min(1e-3).log()
             figures = torch.stack([score, error.median(), (error <= 1).float().mean()]) / len(self.held_back)
