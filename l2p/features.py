@@ -119,20 +119,22 @@ def surroundings(
     from scipy.spatial import KDTree
 
     point = lines.at(beta)
-    place = point.double().cpu().numpy()
+    # On the CPU: other devices have no such trees, are slow at many small matrices, or know no double precision.
+    local, sure = point.cpu(), confidence.cpu()
+    place = local.double().numpy()
     tree = KDTree(place)
     k, fine = (min(count + 1, len(place)) for count in (WIDE, SCALE))
 
     def around(block: slice) -> tuple[Tensor, Tensor, Surface, Surface]:
         found = tree.query(place[block], k)
         distance, index = (np.reshape(part, (-1, k)) for part in found)  # SciPy drops the axis of k = 1
-        near = torch.as_tensor(index, device=beta.device)
-        places, sure = point[near], confidence[near]
-        reach = torch.as_tensor(distance[:, fine - 1], dtype=beta.dtype, device=beta.device)
-        surface = _fitted(places[:, :fine], sure[:, :fine])
-        return reach, sure[:, :fine].mean(dim=1), surface, _fitted(places, sure)
+        near = torch.as_tensor(index)
+        places, weight = local[near], sure[near]
+        reach = torch.as_tensor(distance[:, fine - 1], dtype=beta.dtype)
+        surface = _fitted(places[:, :fine], weight[:, :fine])
+        return reach, weight[:, :fine].mean(dim=1), surface, _fitted(places, weight)
 
-    parts = [part for _, part in over_blocks(around, len(place), _BLOCK, beta.device)]
+    parts = [part for _, part in over_blocks(around, len(place), _BLOCK)]
     reaches, crowds, surfaces, wides = zip(*parts, strict=True)
     reach = torch.cat(reaches)
     # Coinciding estimates have no scale of their own; the scene's typical one stands in.
@@ -141,18 +143,18 @@ def surroundings(
     return Nodes(
         beta=beta,
         point=point,
-        scale=scale,
-        surface=_joined(surfaces),
-        wide=_joined(wides),
-        crowd=torch.cat(crowds),
+        scale=scale.to(beta.device),
+        surface=_joined(surfaces, beta.device),
+        wide=_joined(wides, beta.device),
+        crowd=torch.cat(crowds).to(beta.device),
         confidence=confidence,
         state=state,
-        typical=scale.median(),
+        typical=scale.median().to(beta.device),
     )
 
 
-def _joined(surfaces: Sequence[Surface]) -> Surface:
-    return Surface(*(torch.cat(column) for column in zip(*surfaces, strict=True)))
+def _joined(surfaces: Sequence[Surface], device: torch.device) -> Surface:
+    return Surface(*(torch.cat(column).to(device) for column in zip(*surfaces, strict=True)))
 
 
 def _fitted(near: Float[Tensor, "lines k 3"], confidence: Float[Tensor, "lines k"]) -> Surface:
