@@ -72,9 +72,7 @@ def main() -> None:
         print(json.dumps(measure(given.lines[0], given)))
         return
     print(f"{given.method}, {given.kind}, {given.threads} thread(s)")
-    print(
-        "| lines | seconds | ms a line | ratio to the first | peak GiB | median (scene) | spacings | within 1 |"
-    )
+    print("| lines | seconds | ms a line | ratio to the first | peak GiB | median (scene) | spacings | within 1 |")
     print("|---:|---:|---:|---:|---:|---:|---:|---:|")
     first = None
     for lines in given.lines:
