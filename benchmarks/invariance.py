@@ -1,0 +1,96 @@
+"""How far the answer of an attack depends on what it must not depend on: frame, scale, order, direction of the lines.
+
+    python benchmarks/invariance.py ../shared/scenes/val/room_chair.npz ../shared/scenes/val/strecha_castle_p30.npz
+
+Each scene is lifted once, and its line cloud is attacked as it is and after every change; the points are carried back.
+Prints, for each change, the share of the points within 0.1 spacing of the first run's, that share among the more
+confident half of the lines, and the ratios of the median errors and of the shares within 1 spacing.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import l2p
+from l2p.lifting import lift_indexed
+from l2p.lines import LineCloud
+from l2p.methods import METHODS
+from l2p.metrics import errors, spacing
+from l2p.progress import terminal_progress
+
+
+class Change(NamedTuple):
+    """A changed line cloud, and how its points are carried back."""
+
+    lines: LineCloud
+    back: Callable[[np.ndarray], np.ndarray]
+
+
+def flipped(lines: LineCloud, rng: np.random.Generator) -> Change:
+    """Half of the directions reversed."""
+    sign = rng.choice([-1.0, 1.0], size=(len(lines), 1))
+    return Change(LineCloud(sign * lines.direction, sign * lines.moment), lambda xyz: xyz)
+
+
+def shuffled(lines: LineCloud, rng: np.random.Generator) -> Change:
+    """The lines in another order."""
+    order = rng.permutation(len(lines))
+    return Change(LineCloud(lines.direction[order], lines.moment[order]), lambda xyz: xyz[np.argsort(order)])
+
+
+def scaled(lines: LineCloud, rng: np.random.Generator) -> Change:
+    """In another unit, and far from the origin."""
+    shift = 1e3 * rng.normal(size=3)
+    moved = LineCloud.through(1000.0 * lines.origin + shift, lines.direction)
+    return Change(moved, lambda xyz: (xyz - shift) / 1000.0)
+
+
+def turned(lines: LineCloud, rng: np.random.Generator) -> Change:
+    """Rotated at random."""
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    return Change(LineCloud.through(lines.origin @ turn.T, lines.direction @ turn.T), lambda xyz: xyz @ turn)
+
+
+CHANGES = {"flipped": flipped, "shuffled": shuffled, "scaled and moved": scaled, "turned": turned}
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="+", help="scenes: files, or folders of COLMAP models")
+    parser.add_argument("--method", choices=METHODS, default="learned", help="(default: %(default)s)")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Print a row for each scene and change."""
+    given = arguments()
+    print("| scene | change | within 0.1 spacing | of the confident half | median, ratio | within 1, ratio |")
+    print("| --- | --- | ---: | ---: | ---: | ---: |")
+    for name in given.scenes:
+        scene = l2p.Scene.load(name)
+        lines, index = lift_indexed(scene.xyz, 0, 1.0)
+        unit, truth = spacing(scene.xyz), scene.xyz[index]
+        first = l2p.recover(lines, method=given.method, progress=terminal_progress())
+        sure = first.confidence >= np.median(first.confidence)
+        error = errors(first.xyz, truth) / unit
+        for title, change in CHANGES.items():
+            changed = change(lines, np.random.default_rng(0))
+            again = changed.back(l2p.recover(changed.lines, method=given.method, progress=terminal_progress()).xyz)
+            same, other = errors(again, first.xyz) / unit < 0.1, errors(again, truth) / unit
+            print(
+                f"| {Path(name).stem} | {title} | {same.mean():.2%} | "
+                f"{same[sure].mean():.2%} | {np.median(other) / np.median(error):.4f} | "
+                f"{(other <= 1).mean() / (error <= 1).mean():.4f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
