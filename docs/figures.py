@@ -1,8 +1,13 @@
-"""Draw the pictures of docs/how-it-works.md from one simulated room: python docs/figures.py"""
+"""Draw the pictures of docs/how-it-works.md from one simulated room: python docs/figures.py
+
+Names of pictures draw these alone: python docs/figures.py affinities rounds
+"""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +36,10 @@ IMAGES = Path(__file__).parent / "images"
 POINTS, SEED = 5000, 3
 #: Neighbours of the paper's coarse stage, indoors.
 K = 250
+#: True neighbours, as the spacing and the bounds count them.
+TRUE = 50
+#: Errors from this many spacings on have one colour.
+LIMIT = 2.0
 GREY, BLUE, ORANGE, GREEN, RED = "#b8bec9", "#2563eb", "#ea7317", "#15803d", "#c81e3a"
 
 
@@ -245,6 +254,84 @@ def draw_tomography(room: Room) -> None:
     save(figure, "density")
 
 
+@cache
+def learned(room: Room, rounds: int | None) -> l2p.Recovery:
+    """What the shipped attack finds in so many rounds; None: all that it has."""
+    return l2p.recover(room.lines, rounds=rounds)
+
+
+def spacings_off(room: Room, recovery: l2p.Recovery) -> Float[np.ndarray, " lines"]:
+    """Errors in spacings."""
+    return errors(recovery.xyz, room.truth) / spacing(room.scene.xyz)
+
+
+def draw_affinities(room: Room) -> None:
+    """One line that the first round puts right: its candidates, and where they vote once each counts by its
+    affinity."""
+    before, after = learned(room, 0), learned(room, 1)
+    assert after.neighbors is not None and after.affinity is not None
+    lines, unit = room.lines, spacing(room.scene.xyz)
+    apart = before.xyz[np.maximum(after.neighbors, 0)] - lines.origin[:, None]
+    foot = np.einsum("nkd,nd->nk", apart, lines.direction) / unit
+    across = np.linalg.norm(apart / unit - foot[..., None] * lines.direction[:, None], axis=2)
+    true, first, answer = (
+        np.sum((points - lines.origin) * lines.direction, axis=1) / unit
+        for points in (room.truth, before.xyz, after.xyz)
+    )
+    weight = np.where(after.neighbors < 0, 0, after.affinity)
+    near = np.abs(foot - true[:, None]) <= 1
+    gain = (weight * near).sum(axis=1) / weight.sum(axis=1) - near.mean(axis=1)
+    # Of the lines that were put right, one that shows well why.
+    moved = np.flatnonzero((np.abs(first - true) > 3) & (np.abs(first - true) < 10) & (np.abs(answer - true) < 0.25))
+    row = int(moved[np.argsort(gain[moved])[int(0.9 * len(moved))]])
+    place, share = foot[row], weight[row] / weight[row].sum()
+    nearest = np.argsort(np.linalg.norm(room.truth - room.truth[row], axis=1))[1 : TRUE + 1]
+    own = np.isin(after.neighbors[row], nearest)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(13, 4.2), constrained_layout=True)
+    left.scatter(place[own], across[row][own], s=110, facecolors="none", edgecolors=GREEN, label="a true neighbour")
+    shown = left.scatter(place, across[row], s=36, c=weight[row], cmap="viridis_r", vmin=0)
+    figure.colorbar(shown, ax=left, label="affinity", pad=0.01)
+    left.set(title="the candidates of one line, and the affinities that the network gives them")
+    left.set(ylabel="distance from the line, spacings", ylim=(0, 1.15 * np.quantile(across[row], 0.95)))
+    reach = (min(true[row], first[row]) - 8, max(true[row], first[row]) + 8)
+    bins = np.arange(reach[0], reach[1], 0.5)
+    right.hist(place, bins, weights=np.full(len(place), 1 / len(place)), color=GREY, label="all count alike")
+    right.hist(place, bins, weights=share, histtype="step", lw=2, color=BLUE, label="each counts by its affinity")
+    right.set(title="where the candidates vote", ylabel="share of the votes in half a spacing")
+    for panel in (left, right):
+        panel.axvline(first[row], color=ORANGE, ls="--", label="estimate before the round")
+        panel.axvline(answer[row], color=RED, ls="--", label="estimate after it")
+        panel.axvline(true[row], color=GREEN, lw=1.5, ls=":", label="true point")
+        panel.set(xlabel="position along the line, spacings", xlim=reach)
+        panel.legend(fontsize=8)
+    save(figure, "affinities")
+
+
+def draw_rounds(room: Room) -> None:
+    """The room from above after no, one and all rounds, and as it is."""
+    figure, panels = plt.subplots(1, 4, figsize=(16, 4.4), constrained_layout=True)
+    last = learned(room, None)
+    rounds = last.info["settings"]["rounds"]
+    found = {"before the first round: tomography": learned(room, 0), "after round 1": learned(room, 1)}
+    found[f"after round {rounds}"] = last
+    box = Box.of_room(room.scene)
+    for panel, (title, recovery) in zip(panels, found.items(), strict=False):
+        error = spacings_off(room, recovery)
+        order = np.argsort(error)[::-1]
+        points = panel.scatter(
+            *recovery.xyz[order, :2].T, s=2, c=error[order], cmap="plasma", vmin=0, vmax=LIMIT, linewidths=0
+        )
+        panel.set_title(f"{title}\n{(error <= 1).mean():.0%} within 1 spacing, median {np.median(error):.2f}")
+    panels[3].scatter(*room.truth[:, :2].T, s=2, c="black", linewidths=0)
+    panels[3].set_title("the points\n")
+    for panel in panels:
+        panel.set(aspect="equal", xticks=[], yticks=[])
+        panel.set(xlim=(box.low[0] - 0.3, box.high[0] + 0.3), ylim=(box.low[1] - 0.3, box.high[1] + 0.3))
+    bar = figure.colorbar(points, ax=list(panels), location="bottom", shrink=0.4, aspect=40, pad=0.02)
+    bar.set_label(f"error, spacings ({LIMIT:g} or more has one colour)")
+    save(figure, "rounds")
+
+
 def draw_bounds(room: Room) -> None:
     """Errors of the attacks and of what bounds them; what the confidence is worth."""
     methods = {
@@ -275,12 +362,26 @@ def draw_bounds(room: Room) -> None:
     save(figure, "bounds")
 
 
-def main() -> None:
+DRAWINGS = {
+    "lifting": draw_lifting,
+    "votes": draw_votes,
+    "neighborhoods": draw_neighborhoods,
+    "density": draw_tomography,
+    "affinities": draw_affinities,
+    "rounds": draw_rounds,
+    "bounds": draw_bounds,
+}
+
+
+def main(names: list[str]) -> None:
     torch.set_num_threads(1)
+    unknown = set(names) - set(DRAWINGS)
+    if unknown:
+        sys.exit(f"got {', '.join(sorted(unknown))}; expected some of {', '.join(DRAWINGS)}")
     room = Room.make()
-    for draw in (draw_lifting, draw_votes, draw_neighborhoods, draw_tomography, draw_bounds):
-        draw(room)
+    for name in names or DRAWINGS:
+        DRAWINGS[name](room)
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

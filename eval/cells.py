@@ -172,7 +172,7 @@ def predict(cell: Cell, store: Store) -> None:
         peak_gib = peak()
     record = {
         "identity": identity,
-        "seconds": seconds,
+        "seconds": seconds if cell.contender.timed else None,
         "peak_gib": peak_gib,
         "threads": torch.get_num_threads(),
         "info": recovery.info,

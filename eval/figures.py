@@ -31,6 +31,9 @@ class Drawing(NamedTuple):
 
 #: Errors outside these say little: below lies the noise of the map, above any place in the scene.
 SHOWN = (0.02, 30)
+TICKS = (0.1, 1, 10)
+#: Inches of a legend's row, of what is beside a label, and of a letter of it; most entries in a row.
+LEGEND_ROW, LEGEND_KEY, LEGEND_LETTER, LEGEND_MOST = 0.18, 0.6, 0.075, 4
 #: A method has its colour and dashes in every panel.
 Styles = dict[str, dict[str, Any]]
 #: Same file for the same rows; text as outlines, so that it looks the same everywhere.
@@ -103,6 +106,7 @@ def _distributions(parts: Sequence[tuple[str, Sequence[Row]]], styles: dict[Any,
                 label = f"{100 * value:g} % of the points" if column == "fraction" else value
                 axes.plot(THRESHOLDS, np.mean(curves, axis=0), label=label, **style)
         axes.set(xscale="log", xlim=SHOWN, ylim=(0, 1), title=title)
+        axes.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
         axes.set(xlabel="error (spacings)", ylabel="share of points within")
     _legend(figure, panels)
     return figure
@@ -112,9 +116,9 @@ def _density(rows: Sequence[Row], styles: Styles) -> Figure:
     figure, panels = _panels(2)
     for axes, column in zip(panels, (MEDIAN, SHARE), strict=True):
         for method, style in styles.items():
-            percent, value = _against_fraction([row for row in rows if row["method"] == method], column)
-            axes.plot(percent, value, label=method, marker="o", markersize=3, **style)
-        axes.set(xscale="log", xlabel="points lifted (%)", ylabel=column.heading)
+            percent, value, spread = _against_fraction([row for row in rows if row["method"] == method], column)
+            axes.errorbar(percent, value, spread, label=method, marker="o", markersize=3, capsize=2, **style)
+        axes.set(xscale="log", xlabel="share of the points (%)", ylabel=column.heading)
         percents = sorted({100 * row["fraction"] for row in rows})
         axes.set_xticks(percents, [f"{percent:g}" for percent in percents])
         axes.minorticks_off()
@@ -176,7 +180,11 @@ FIGURES = (
     _Drawn("error_cdf", "Share of points within an error at each density; dashed methods know the truth", _by_fraction),
     _Drawn("error_kinds", "Share of points within an error, for each kind of scene", _by_kind),
     _Drawn("error_sparsity", "Share of points within an error, for each method from dense to sparse", _by_sparsity),
-    _Drawn("density", "Median error and share within 1 spacing against the share of the points", _density),
+    _Drawn(
+        "density",
+        "Median error and share within 1 spacing against the share of the points; bars: deviation over several seeds",
+        _density,
+    ),
     _Drawn("risk_coverage", "How wrong the points are that a method is most confident of", _risk_coverage),
     _Drawn("calibration", "What a calibrated confidence says, and what holds: the diagonal is right", _calibration),
     _Drawn(
@@ -205,15 +213,17 @@ def _each_fraction(
     return figure
 
 
-def _against_fraction(rows: Sequence[Row], column: Column) -> tuple[list[float], list[float]]:
-    """The pooled figure at each fraction, mean over seeds."""
+def _against_fraction(rows: Sequence[Row], column: Column) -> tuple[list[float], list[float], list[float] | None]:
+    """The percents, the pooled figure at each: mean over seeds, and its standard deviation; None of one seed."""
     fractions = sorted({row["fraction"] for row in rows})
-    values = []
+    values, spreads = [], []
     for fraction in fractions:
         here = [row for row in rows if row["fraction"] == fraction]
         pooled = [pool_seed(here, column, seed) for seed in distinct(here, "seed")]
-        values.append(float(np.mean([value for value in pooled if value is not None])))
-    return [100 * fraction for fraction in fractions], values
+        found = [value for value in pooled if value is not None]
+        values.append(float(np.mean(found)))
+        spreads.append(float(np.std(found, ddof=1)) if len(found) > 1 else 0.0)
+    return [100 * fraction for fraction in fractions], values, spreads if any(spreads) else None
 
 
 def _fractions(rows: Sequence[Row]) -> list[float]:
@@ -234,7 +244,7 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
 
     columns = count if count < 4 else 2 if count == 4 else 3
     rows = -(-count // columns)
-    figure = Figure(figsize=(3.6 * columns, 2.9 * rows), layout="constrained")
+    figure = Figure(figsize=(3.6 * columns, 2.6 * rows), layout="constrained")
     FigureCanvasAgg(figure)
     panels = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axes in panels[count:]:
@@ -243,7 +253,10 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
 
 
 def _legend(figure: Figure, panels: Sequence[Axes]) -> None:
-    """One legend of all that any panel shows."""
+    """One legend of all that any panel shows, in a strip of its own below, as wide as the figure at most."""
     found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    rows = -(-len(found) // (2 if len(panels) == 1 else 4))
+    width, height = figure.get_size_inches()
+    fitting = int(width / (LEGEND_KEY + LEGEND_LETTER * max(map(len, found))))
+    rows = -(-len(found) // max(1, min(fitting, LEGEND_MOST)))
+    figure.set_size_inches(width, height + LEGEND_ROW * rows)
     figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=-(-len(found) // rows))

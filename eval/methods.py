@@ -50,6 +50,8 @@ class Contender(Protocol):
 
     #: Whether it is a reference that looks at the truth, and no attack.
     knows_truth: ClassVar[bool]
+    #: Whether the time that ``recover`` takes is that of the method.
+    timed: ClassVar[bool]
 
     @property
     def label(self) -> str:
@@ -76,6 +78,7 @@ class Peer:
 
     label: str = ""
     knows_truth: ClassVar[bool] = False
+    timed: ClassVar[bool] = True
     calibrated: ClassVar[bool] = False
 
     def build(self, trial: Trial) -> Method:
@@ -211,6 +214,7 @@ class CallContender:
     arguments: dict[str, Any] = field(default_factory=dict)
     calibrated: bool = False
     knows_truth: ClassVar[bool] = False
+    timed: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _default_label(self, self.path.rpartition(":")[2])
@@ -233,6 +237,7 @@ class FolderContender:
     label: str = ""
     calibrated: bool = False
     knows_truth: ClassVar[bool] = False
+    timed: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         _default_label(self, Path(self.path).name)

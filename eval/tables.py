@@ -124,12 +124,23 @@ def document(
         f"threads: {about['config']['threads'] or 'all'}; "
         + ", ".join(f"{name} {version}" for name, version in versions.items())
         + ".",
-        NOTE,
+        " ".join(filter(None, (NOTE, _seeds_note(rows)))),
         *(f"## {table.title}\n\n{markdown(table)}" for table in found),
         "## Figures",
         *(f"![{caption}]({path.relative_to(folder).as_posix()})\n\n{caption}" for path, caption in images),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _seeds_note(rows: Sequence[Row]) -> str:
+    seeds = distinct(rows, "seed")
+    if len(seeds) < 2:
+        return f"Line clouds of one seed ({seeds[0]})."
+    return f"Figures are the mean ± the standard deviation over {len(seeds)} seeds of the line clouds ({_list(seeds)})."
+
+
+def _list(values: Sequence[Any]) -> str:
+    return ", ".join(map(str, values))
 
 
 def markdown(table: Table) -> str:
@@ -182,7 +193,13 @@ def overview(rows: Sequence[Row], fractions: Sequence[float]) -> Table:
         there = [[row for row in own if row["fraction"] == fraction] for fraction in fractions]
         body.append([method, *(f"{pooled(here, median)} / {pooled(here, share)}" if here else "-" for here in there)])
     head = ["share of the points", *(f"{100 * fraction:g} %" for fraction in fractions)]
-    return Table("overview", "median error in spacings / share within 1 spacing", head, body)
+    return Table("overview", f"median error in spacings / share within 1 spacing{spread_of(rows)}", head, body)
+
+
+def spread_of(rows: Iterable[Row]) -> str:
+    """What the spread in a table is; empty of one seed, which has none."""
+    seeds = len(distinct(rows, "seed"))
+    return f", mean ± standard deviation of {seeds} seeds" if seeds > 1 else ""
 
 
 def method_table(rows: Sequence[Row], fraction: float) -> Table:

@@ -84,7 +84,7 @@ def _columns(references: References, rows: Sequence[Row]) -> list[Column]:
     if references.heuristic is not None:
         columns += [
             Column("median / heuristic's", "median_ratio", geometric_mean, decimals),
-            Column("worst scene", "median_ratio", _maximum, decimals),
+            Column("the same, worst scene", "median_ratio", _maximum, decimals),
             Column("neighbour precision / heuristic's", "precision_ratio", geometric_mean, decimals),
         ]
     if references.loo is not None:
@@ -95,7 +95,7 @@ def _columns(references: References, rows: Sequence[Row]) -> list[Column]:
     if any(row["curves"]["reliability"] is not None for row in rows):
         columns += [
             Column("calibration error", "reliability", pooled_calibration_error, decimals),
-            Column("worst scene", "own_error", _maximum, decimals),
+            Column("calibration error, worst scene", "own_error", _maximum, decimals),
         ]
     if columns:
         columns.append(Column("most confident half within 1", "confident_half", arithmetic_mean, percent))

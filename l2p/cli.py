@@ -193,6 +193,7 @@ def _add_audit(commands: Any) -> None:
         metavar="N",
         help="points of each cloud that the page draws; the figures count all (default: %(default)s)",
     )
+    audit.add_argument("--open", action="store_true", help="show the page in the browser, where there is a display")
     audit.add_argument("--device", default="cpu", help="torch device (default: %(default)s)")
     audit.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
     _add_json(audit, "FILE", "the figures of audit.json")
@@ -203,8 +204,12 @@ def _add_view(commands: Any) -> None:
     view = _command(commands, "view", "show a scene, a line cloud or a recovery on a page")
     view.add_argument("file", metavar="FILE", help="a scene, line cloud, recovery or truth, or a COLMAP model folder")
     view.add_argument(
-        "-o", dest="output", metavar="PAGE.html", help="page to write (default: one in the folder of temporary files)"
+        "-o",
+        dest="output",
+        metavar="PAGE.html",
+        help="page to write (default: one in the folder of temporary files, shown in the browser)",
     )
+    view.add_argument("--open", action="store_true", help="show the page of -o in the browser, too")
     view.add_argument("--window", action="store_true", help="open a window instead (Open3D; needs a display)")
     _add_force(view)
 

@@ -27,6 +27,7 @@ from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth, truth_bytes
 from l2p.lifting import lift_indexed
 from l2p.lines import LineCloud
+from l2p.methods import RANKING
 from l2p.metrics import evaluate as score
 from l2p.metrics import spacing
 from l2p.progress import terminal_progress
@@ -100,14 +101,14 @@ def evaluate(arguments: Namespace) -> None:
     with _json(arguments, {name: scores.as_dict() for name, scores in columns.items()}):
         pass
     if arguments.json != "-":
-        print_scores(columns)
+        print_scores(columns, calibrated=recovery.info.get("method") not in RANKING)
 
 
 def audit(arguments: Namespace) -> None:
     """``l2p audit``."""
     from l2p.auditing import audit as examine
     from l2p.page.report import FILES, PAGE, figures_of, save_report
-    from l2p.page.words import headline, sparser
+    from l2p.page.words import headline, sparser, typical
 
     _check_report(arguments, FILES)
     lines_given = kind_of(arguments.scene) in LINE_CLOUDS
@@ -135,17 +136,20 @@ def audit(arguments: Namespace) -> None:
         )
     if arguments.json != "-":
         if found.known:
-            print_scores({f"{100 * trial.fraction:g} %": trial.scores for trial in found.trials if trial.scores})
-        for sentence in filter(None, (headline(found), sparser(found))):
+            columns = {f"{100 * trial.fraction:g} %": trial.scores for trial in found.trials if trial.scores}
+            print_scores(columns, calibrated=found.calibrated)
+        for sentence in filter(None, (headline(found), typical(found), sparser(found))):
             print(sentence.replace("\N{NO-BREAK SPACE}", " "))
         print(f"The report is {Path(arguments.output) / PAGE}")
+    if arguments.open:
+        _open(Path(arguments.output) / PAGE)
 
 
 def view(arguments: Namespace) -> None:
     """``l2p view``."""
     from l2p.exhibit import Exhibit
     from l2p.page.file_view import view_page
-    from l2p.window import check_window, has_display, show
+    from l2p.window import check_window, show
 
     if arguments.window and arguments.output is not None:
         raise InputError(f"got --window and -o {arguments.output}; expected one of them")
@@ -161,8 +165,16 @@ def view(arguments: Namespace) -> None:
     with atomic_file(output, overwrite=arguments.force) as file:
         file.write(page)
     print(output)
-    if arguments.output is None and has_display():
-        webbrowser.open(Path(output).as_uri())
+    if arguments.output is None or arguments.open:
+        _open(Path(output))
+
+
+def _open(page: Path) -> None:
+    """Show a page in the browser, where there is a display."""
+    from l2p.window import has_display
+
+    if has_display():
+        webbrowser.open(page.resolve().as_uri())
 
 
 def info(arguments: Namespace) -> None:

@@ -109,6 +109,10 @@ class Stance:
         """Scene points in the view's own coordinates."""
         return (points - self.center) / self.radius @ self.axes.T
 
+    def leave(self, places: Float[np.ndarray, "*many 3"]) -> Float[np.ndarray, "*many 3"]:
+        """Places in the view's own coordinates as scene points."""
+        return places @ self.axes * self.radius + self.center
+
     def chords(self, lines: LineCloud, reach: float = 1.25) -> Float[np.ndarray, "chords 2 3"]:
         """The parts of the lines in the ball of radius ``reach`` in the view; lines that miss it have none."""
         origin, direction = self.enter(lines.origin), lines.direction @ self.axes.T

@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 _FILE_WIDTH = 140
 
 
-def print_scores(columns: dict[str, Scores]) -> None:
-    """The figures of each column, on stdout."""
+def print_scores(columns: dict[str, Scores], *, calibrated: bool = True) -> None:
+    """The figures of each column, on stdout; ``calibrated`` says whether the confidence claims to be a probability."""
     table = Table(*("", *columns), title="error of the recovered points")
-    for row in zip(*(_score_rows(scores) for scores in columns.values()), strict=True):
+    for row in zip(*(_score_rows(scores, calibrated) for scores in columns.values()), strict=True):
         table.add_row(row[0][0], *(value for _, value in row))
-    Console(file=sys.stdout).print(table)
+    _console().print(table)
 
 
 def print_info(path: str | PathLike[str]) -> None:
@@ -55,24 +55,32 @@ def print_info(path: str | PathLike[str]) -> None:
         rows = _describe(path, kind)
     for what, value in rows:
         table.add_row(what, escape(value))
-    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else _FILE_WIDTH)
+    console = _console()
     for each in tables:
         console.print(each)
 
 
-def _score_rows(scores: Scores) -> list[tuple[str, str]]:
-    return [
+def _console() -> Console:
+    return Console(file=sys.stdout, width=None if sys.stdout.isatty() else _FILE_WIDTH)
+
+
+def _score_rows(scores: Scores, calibrated: bool) -> list[tuple[str, str]]:
+    rows = [
         ("lines", str(scores.lines)),
         ("spacing (scene units)", f"{scores.spacing:.4g}"),
         ("median error (scene units)", f"{scores.median:.4g}"),
         ("mean error (scene units)", f"{scores.mean:.4g}"),
         ("median error (spacings)", f"{scores.median_spacings:.3f}"),
-        *((f"within {limit} spacings", f"{share:.1%}") for limit, share in scores.within_spacings.items()),
+        *((f"within {limit} {_spacings(limit)}", f"{share:.1%}") for limit, share in scores.within_spacings.items()),
         *((f"within {limit} cm", f"{share:.1%}") for limit, share in scores.within_cm.items()),
         ("most confident half within 1 spacing", f"{scores.confident_half:.1%}"),
         ("most confident quarter within 1 spacing", f"{scores.confident_quarter:.1%}"),
-        ("calibration error", f"{scores.calibration_error:.3f}"),
     ]
+    return [*rows, ("calibration error", f"{scores.calibration_error:.3f}")] if calibrated else rows
+
+
+def _spacings(limit: str) -> str:
+    return "spacing" if limit == "1" else "spacings"
 
 
 def _describe(path: str | PathLike[str], kind: Kind) -> Sequence[tuple[str, str]]:

@@ -13,7 +13,8 @@ import l2p
 from l2p.auditing import FRACTIONS
 from l2p.curves import COVERAGE, THRESHOLDS
 from l2p.page import report
-from l2p.page.words import headline, sparser
+from l2p.page.numbers import length
+from l2p.page.words import headline, sparser, typical
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&amp;"
 
@@ -175,9 +176,25 @@ def test_headline_says_the_figures_in_plain_words(found, within, half, words):
     assert "scene units" in headline(replace(metric, metric=False))
 
 
+def test_a_map_in_metres_tells_what_is_typical(found):
+    metric = replace(found, metric=True)
+    median = found.trials[0].scores.median
+    assert typical(metric) == f"Half of the points come out within {length(median, True)} of their true place."
+    assert typical(metric) in report.report_page(metric).decode()
+    assert typical(found) == ""
+
+
+def test_headings_of_a_table_cover_its_columns(found, blind, scene):
+    few = scene.xyz[:60]
+    ranked = [l2p.audit(given, method="tomography", metric=True) for given in (few, l2p.lift(few, seed=0))]
+    for audit in (found, blind, *ranked):
+        for table in report._tables(audit):
+            assert all(len(row) == sum(len(head.under) or 1 for head in table.heads) for row in table.rows)
+
+
 def test_a_headline_of_a_part_of_the_map_says_so(found):
     part = replace(found, trials=found.trials[1:])
-    assert "lifted points (20\N{NO-BREAK SPACE}% of the map)" in headline(part)
+    assert "published points (20\N{NO-BREAK SPACE}% of the map)" in headline(part)
     assert sparser(part) == ""
     assert "(100 lines)" in sparser(found)
 
@@ -187,7 +204,9 @@ def test_a_headline_without_truth_is_a_prediction_or_none(blind, scene):
     ranked = l2p.audit(l2p.lift(scene.xyz, seed=4), method="tomography")
     assert "not known" in headline(ranked)
     page = report.report_page(ranked).decode()
-    assert "only ranks points" in page and "A prediction, not a measurement" in page
+    assert "only ranks points" in page and "Neither measured nor predicted" in page
+    for word in ("A prediction", "Predicted", "The prediction holds", "mean confidence"):
+        assert word not in page, "there is none"
 
 
 def test_the_report_is_a_page_and_its_figures(found, tmp_path):
@@ -226,7 +245,7 @@ def test_the_page_names_what_was_run(found, blind):
     digest = found.trials[0].recovery.info["settings"]["digest"]
     for words in (digest, "tiny.safetensors", f"l2p {l2p.__version__}", "Chelani", "<dd>4</dd>"):
         assert words in page
-    assert "Seed of the liftings" not in report.report_page(blind).decode()
+    assert "Seed of the line clouds" not in report.report_page(blind).decode()
 
 
 def test_the_page_has_no_links(found):

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import socket
 import subprocess
 import sys
 import textwrap
 import webbrowser
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -59,6 +61,29 @@ def test_a_report_is_written_and_told(files, tmp_path, capsys):
     assert figures == json.loads((tmp_path / "copy.json").read_text())
     assert [trial["fraction"] for trial in figures["trials"]] == [1.0, 0.5]
     assert "--fractions 1 0.5" in figures["command"] and "--checkpoint" not in figures["command"]
+
+
+def test_a_report_is_opened_where_that_was_asked_for_and_there_is_a_display(files, tmp_path, monkeypatch, capsys):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    monkeypatch.chdir(tmp_path)
+    words = ("audit", files / "scene.npz", "-o", "report", *CHEAP, "--force")
+    assert run(*words, "--open") == 0
+    assert opened == [], "no display"
+    monkeypatch.setenv("DISPLAY", ":99")
+    assert run(*words) == 0
+    assert opened == []
+    assert run(*words, "--open") == 0
+    assert opened == [(tmp_path / "report" / "index.html").as_uri()]
+
+
+def test_only_a_confidence_that_claims_to_be_a_probability_has_a_calibration_error(
+    files, tmp_path, tiny_checkpoint, capsys
+):
+    np.savez(tmp_path / "few.npz", xyz=np.random.default_rng(0).normal(size=(60, 3)))
+    for number, words in enumerate((("--method", "tomography"), ("--checkpoint", tiny_checkpoint))):
+        assert run("audit", tmp_path / "few.npz", "-o", tmp_path / str(number), "--fractions", 1, *words) == 0
+        assert ("calibration error" in capsys.readouterr().out) == bool(number)
 
 
 def test_the_command_in_the_report_gives_it_again(files, tmp_path, monkeypatch):
@@ -196,6 +221,8 @@ def test_view_opens_a_page_of_its_own_where_there_is_a_display(files, tmp_path, 
     assert opened == [Path(capsys.readouterr().out.strip()).as_uri()]
     assert run("view", files / "lines.npz", "-o", tmp_path / "own.html") == 0
     assert len(opened) == 1, "who names a file opens it"
+    assert run("view", files / "lines.npz", "-o", tmp_path / "own.html", "--force", "--open") == 0
+    assert len(opened) == 2
 
 
 def test_view_refuses_what_it_cannot_show(files, tmp_path, tiny_checkpoint, capsys):
@@ -210,10 +237,46 @@ def test_a_window_needs_a_display_and_open3d(files, monkeypatch, capsys):
     assert run("view", files / "lines.npz", "--window") == 2
     assert "there is no display for --window" in capsys.readouterr().err
     monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setattr(window, "_answers", lambda: True)
     monkeypatch.setitem(sys.modules, "open3d", None)
     assert run("view", files / "lines.npz", "--window") == 2
     told = capsys.readouterr().err
     assert "or leave out --window" in told and told.count("\n") == 1
+
+
+def test_a_system_library_that_is_missing_is_named_with_its_package(files, monkeypatch, capsys):
+    class Without:
+        def find_spec(self, name, path=None, target=None):
+            if name == "open3d":
+                raise OSError("libGL.so.1: cannot open shared object file: No such file or directory")
+
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setattr(window, "_answers", lambda: True)
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Without(), *sys.meta_path])
+    assert run("view", files / "lines.npz", "--window") == 2
+    told = capsys.readouterr().err
+    assert "libGL.so.1" in told and "libgl1" in told and told.count("\n") == 1
+
+
+@pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="displays have no names there")
+def test_a_display_that_does_not_answer_is_refused(files, tmp_path, monkeypatch, capsys):
+    for name in (":4711", "localhost:4711.0", "nonsense"):
+        monkeypatch.setenv("DISPLAY", name)
+        assert run("view", files / "lines.npz", "--window") == 2
+        assert f"the display {name} does not answer" in capsys.readouterr().err
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
+    assert not window._answers()
+    with socket.socket() as listener:
+        listener.bind(("localhost", 0))
+        listener.listen()
+        port = listener.getsockname()[1]
+        if port < 6000:
+            pytest.skip("the system gave a port below those of displays")
+        monkeypatch.delenv("WAYLAND_DISPLAY")
+        monkeypatch.setenv("DISPLAY", f"localhost:{port - 6000}.0")
+        assert window._answers()
 
 
 class FakeWindow:
@@ -228,6 +291,9 @@ class FakeWindow:
     def add_geometry(self, geometry):
         self.shown.append(geometry)
 
+    def get_view_control(self):
+        return Mock()
+
     def run(self):
         pass
 
@@ -241,6 +307,7 @@ def test_a_window_shows_points_or_lines(files, monkeypatch, capsys):
     except l2p.InputError as error:
         pytest.skip(str(error))
     monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setattr(window, "_answers", lambda: True)
     monkeypatch.setattr(open3d.visualization, "Visualizer", FakeWindow)
     for name in ("scene.npz", "out.npz", "lines.npz"):
         assert run("view", files / name, "--window") == 0

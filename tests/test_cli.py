@@ -100,7 +100,7 @@ def test_recover_and_evaluate(tmp_path, lifted, capsys):
     assert recovery.kept is None
     assert run("evaluate", out, lifted[1], "--metric") == 0
     table = capsys.readouterr().out
-    for row in ("lines", "median error (spacings)", "within 1 spacings", "within 50 cm", "calibration error"):
+    for row in ("lines", "median error (spacings)", "within 1 spacing ", "within 50 cm", "calibration error"):
         assert row in table
     assert run("evaluate", out, lifted[1], "--json", tmp_path / "scores.json") == 0
     capsys.readouterr()

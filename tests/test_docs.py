@@ -45,7 +45,7 @@ FENCE = re.compile(
 #: Simulated scenes of README are made smaller.
 POINTS = re.compile(r"\bpoints=\d+")
 #: What a block without a language begins with if it is one of a shell.
-PROGRAMS = {"l2p", "make", "pip", "python"}
+PROGRAMS = {"l2p", "make", "mkdir", "pip", "python"}
 
 
 @dataclass(frozen=True)
@@ -161,9 +161,10 @@ def run(words: list[str], place: Path) -> None:
     if program == "l2p":
         # Pages may be read in any order: what an earlier block wrote is replaced.
         force = ["--force"] if "--force" in options(arguments[0]) else []
-        for target in (arguments[i + 1] for i, word in enumerate(arguments) if word == "-o"):
-            (place / target).parent.mkdir(parents=True, exist_ok=True)
         assert cli.main([*arguments, *force]) == 0, shlex.join(words)
+    elif program == "mkdir":
+        for name in arguments:
+            (place / name).mkdir()
     elif program == "python":
         code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import runpy; sys.argv = {arguments[1:]!r}; "
         code += f"runpy.run_module({arguments[1]!r}, run_name='__main__', alter_sys=True)"
@@ -188,6 +189,8 @@ def check(words: list[str]) -> None:
         assert (ROOT / "constraints.txt").is_file() and all(f"\n{extra} = [" in text for extra in extras)
     elif program.endswith("python"):
         check_python(arguments)
+    elif program == "mkdir":
+        assert not any(word.startswith("-") for word in arguments)
     else:
         raise AssertionError(f"{program} is not known here: {shlex.join(words)}")
 

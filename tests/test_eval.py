@@ -233,6 +233,7 @@ def test_a_users_points_and_recoveries_are_scored(tmp_path: Path, plugin: Callab
     rows = rows_of(tmp_path / "run")
     assert [row["method"] for row in rows[:2]] == ["own", "elsewhere"]
     assert rows[0]["median"] == rows[1]["median"]
+    assert float(rows[0]["seconds"]) > 0 and rows[1]["seconds"] == "", "the time of reading is not that of the method"
     assert rows[0]["neighbor_precision"] == "" and rows[0]["confidence_auc"] == "", "nothing is made up"
     (folder / "sim-room-120-0_50_0.npz").write_bytes((folder / "sim-room-120-0_100_0.npz").read_bytes())
     with pytest.raises(InputError, match=r"_50_0_elsewhere.npz was made with method .*'digest': "):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 pytest.importorskip("hydra", reason="the evaluation program needs the extra train: pip install 'l2p[train]'")
 
@@ -22,7 +24,7 @@ from eval.curves import (
 from eval.figures import draw_figures
 from eval.methods import contenders_of
 from eval.scoring import ranking
-from eval.tables import method_table, overview, tables, updated
+from eval.tables import document, method_table, overview, tables, updated
 from eval.targets import References, target_table, with_ratios
 from l2p.errors import InputError
 from l2p.metrics import calibration_error
@@ -140,12 +142,13 @@ def test_targets_are_ratios_on_the_same_line_cloud() -> None:
     found = dict(zip(table.head[2:], table.body[1][2:], strict=True))
     # Of 0.1 and 0.4 the geometric mean; of shares 1/2 and 1; both precisions are twice the heuristic's.
     assert found["median / heuristic's"] == "0.200"
-    assert table.body[1][3] == "0.400"
+    assert found["the same, worst scene"] == "0.400"
     assert found["neighbour precision / heuristic's"] == "2.000"
     assert found["share within 1 / LOO's"] == "0.707"
     assert found["scenes not below LOO"] == "50.0 %"
     assert found["calibration error"] == "0.300"
-    assert found["worst scene"] == "0.400", "the last of the two columns with that heading: calibration"
+    assert found["calibration error, worst scene"] == "0.400"
+    assert len(set(table.head)) == len(table.head)
     assert found["most confident half within 1"] == "70.0 %"
     assert table.body[0][table.head.index("calibration error")] == "-", "it claims none"
 
@@ -175,6 +178,18 @@ def test_the_overview_has_a_column_for_each_fraction() -> None:
     assert table.body == [["m", "1.00 / 50 %", "2.35 / 13 %"], ["n", "-", "1.00 / 50 %"]]
 
 
+def test_a_table_says_what_its_spread_is() -> None:
+    one, three = [row("m")], [row("m", seed=seed, median_spacings=1.0 + seed) for seed in (0, 1, 2)]
+    assert "±" not in overview(one, [1.0]).title
+    assert overview(three, [1.0]).title.endswith(", mean ± standard deviation of 3 seeds")
+    assert overview(three, [1.0]).body == [["m", "2.00 ± 1.00 / 50 % ± 0 %"]]
+    about = {"command": "python -m eval", "machine": {"processor": "x", "cores": 2}, "versions": {}}
+    about["config"] = {"name": "mine", "threads": 1}
+    pages = [document([{**r, "commit": "abc"} for r in rows], [], about, [], Path()) for rows in (one, three)]
+    assert "Line clouds of one seed (0)." in pages[0]
+    assert "the standard deviation over 3 seeds of the line clouds (0, 1, 2)" in pages[1]
+
+
 def test_tables_replace_what_is_between_their_marks() -> None:
     found = tables([row("m")])
     text = "a\n<!-- eval:mine:overview -->\nold\n<!-- /eval -->\nb\n<!-- eval:mine:100% -->\n<!-- /eval -->\nc\n"
@@ -188,6 +203,17 @@ def test_tables_replace_what_is_between_their_marks() -> None:
     for open_end in ("<!-- eval:mine:100% -->\n", "<!-- eval:mine:100% -->\n" + text):
         with pytest.raises(InputError, match=r"got <!-- eval:mine:100% --> without <!-- /eval --> after it"):
             updated(open_end, "mine", found)
+
+
+def test_the_legend_is_in_the_figure_however_long_its_labels_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: seen.append(figure))
+    draw_figures([row(f"a method with a long name and {k} neighbours") for k in range(6)], [])
+    for figure in seen:
+        figure.canvas.draw()
+        legend, whole = figure.legends[0].get_window_extent(), figure.bbox
+        assert whole.x0 <= legend.x0 and legend.x1 <= whole.x1 and whole.y0 <= legend.y0
+        assert all(legend.y1 <= axes.get_tightbbox().y0 for axes in figure.axes)
 
 
 def test_figures_are_drawn_of_what_there_is_and_alike_each_time() -> None:

@@ -121,7 +121,7 @@ def test_the_view_is_not_blank_and_has_the_colours_of_its_scale(opened):
 
 def test_true_points_lines_and_recovered_points_are_three_pictures(opened):
     pictures = []
-    for layer, words in (("recovered", "points stay"), ("points", "1,500 points."), ("lines", "1,500 lines.")):
+    for layer, words in (("recovered", "recovered points."), ("points", "1,500 points."), ("lines", "1,500 lines.")):
         opened.choose("layer", layer)
         assert words in opened.text()
         assert opened.drawn() > 1500
@@ -133,7 +133,7 @@ def test_true_points_lines_and_recovered_points_are_three_pictures(opened):
 def test_the_share_that_is_published_can_be_chosen(opened):
     before = opened.picture()
     opened.choose("cloud", "1")
-    assert opened.text().startswith("300 of 300 points stay (100 %).")
+    assert opened.text().startswith("300 recovered points.")
     assert not same(before, opened.picture())
 
 
@@ -147,7 +147,7 @@ def test_the_confidence_slider_hides_points_and_counts_the_rest(opened, found):
     assert 0 < kept.sum() < 1500
     share = f"{100 * kept.mean():.0f} %"
     right = f"{(kept & inside).sum():,} of these"
-    assert opened.text().startswith(f"{kept.sum():,} of 1,500 points stay ({share}). {right}")
+    assert opened.text().startswith(f"{kept.sum():,} of 1,500 points ({share}) are at least so confident. {right}")
     assert opened.text("floor-value") == f"{level} %"
     assert opened.drawn() < drawn
 
@@ -199,6 +199,24 @@ def test_hands_turn_move_and_come_closer_and_reset_goes_back(opened):
     assert same(start, opened.picture())
 
 
+def test_the_heading_of_a_row_stays_while_its_table_scrolls(browser, report):
+    shown = Opened(browser, report, PHONE)
+    shown.page.locator(".scroll").first.evaluate("e => e.scrollLeft = 150")
+    place = shown.page.locator("tbody th").first.bounding_box()
+    assert 0 <= place["x"] < 40
+    shown.context.close()
+
+
+def test_lines_that_pass_by_are_counted(browser, tmp_path, rng):
+    points = np.concatenate([rng.normal(size=(60, 3)), [[500.0, 0, 0]]])
+    lines = l2p.LineCloud(np.tile([0.0, 0, 1], (61, 1)), np.cross(points, [0.0, 0, 1]))
+    path = tmp_path / "lines.html"
+    path.write_bytes(view_page(Exhibit(lines=lines), "lines", "something"))
+    shown = Opened(browser, path)
+    assert shown.text() == "61 lines. Left out of the picture: 1, far from the others."
+    shown.context.close()
+
+
 def test_the_page_scrolls_until_the_picture_was_clicked(opened):
     before = opened.picture()
     box = opened.page.locator("canvas").bounding_box()
@@ -214,9 +232,12 @@ def test_keys_turn_and_reset(opened):
     start = opened.picture()
     opened.page.locator("canvas").focus()
     focused = opened.picture()
-    for key in ("ArrowLeft", "ArrowUp", "+"):
+    before = focused
+    for key in ("ArrowLeft", "ArrowUp", "+", "Shift+ArrowLeft", "Shift+ArrowUp"):
         opened.page.keyboard.press(key)
-    assert not same(focused, opened.picture())
+        after = opened.picture()
+        assert not same(before, after), key
+        before = after
     opened.page.keyboard.press("0")
     assert same(focused, opened.picture())
     assert start.shape == focused.shape
@@ -290,8 +311,11 @@ def test_paper_is_light(browser, report):
     shown.page.evaluate("dispatchEvent(new Event('afterprint'))")
     assert np.median(shown.picture()) < 64
     assert shown.page.pdf(format="A4").startswith(b"%PDF")
+    right = "Math.max(...[...document.querySelectorAll('table, figure')].map(e => e.getBoundingClientRect().right))"
+    shown.page.set_viewport_size({"width": 703, "height": 1000})  # A4 without its margins
     shown.page.emulate_media(media="print")
     assert not shown.page.locator(".controls").is_visible()
+    assert shown.page.evaluate(right) <= 703, "nothing is cut off"
     assert shown.wrong == []
     shown.context.close()
 
@@ -310,7 +334,9 @@ def test_a_phone_is_wide_enough(browser, report):
 
 def test_without_javascript_the_figures_are_still_there(browser, report):
     shown = Opened(browser, report, java_script_enabled=False)
-    assert shown.page.locator("noscript").inner_text().startswith("The 3D view needs JavaScript")
+    assert "The 3D view needs JavaScript" in shown.page.locator(".view").inner_text()
+    for useless in ("canvas", ".controls", "#theme"):
+        assert not shown.page.locator(useless).is_visible(), useless
     assert shown.page.locator("table").count() == 2
     shown.context.close()
 
@@ -334,7 +360,7 @@ def test_views_of_files(browser, found, tmp_path):
         "points": (Exhibit(points=trial.truth), "1,500 points."),
         "coloured": (Exhibit(points=trial.truth, rgb=trial.rgb), "1,500 points."),
         "lines": (Exhibit(lines=trial.lines), "1,500 lines."),
-        "recovered": (ranked, "1,500 of 1,500 points stay (100 %)."),
+        "recovered": (ranked, "1,500 recovered points."),
     }
     for name, (exhibit, words) in exhibits.items():
         path = tmp_path / f"{name}.html"

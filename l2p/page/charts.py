@@ -69,7 +69,7 @@ def _distribution(audit: Audit) -> Chart:
     )
     return Chart(
         "How far off are the recovered points?",
-        "Share of the points with an error of at most so many spacings, for each share of the map that is lifted. "
+        "Share of the points with an error of at most so many spacings, for each share of the map that is published. "
         "A curve further to the left and up means that more is given away. The dotted line marks 1 spacing.",
         f"Curves of the share of points against the error. Within 1 spacing: {ends}.",
         _svg("distribution", draw),
@@ -100,7 +100,7 @@ def _reliability(audit: Audit) -> Chart:
     def draw(axes: Axes) -> None:
         axes.plot([0, 1], [0, 1], color=_INK, linewidth=0.8, linestyle=(0, (1, 2)))
         for trial, style in _styled(audit):
-            axes.plot(trial.curves.claimed, trial.curves.right, marker="o", markersize=3.5, **style)
+            axes.plot(trial.curves.claimed, trial.curves.right, marker="o", markersize=3.5, clip_on=False, **style)
         axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="confidence of the attack", ylabel="of these, right")
         _percent_axis(axes.xaxis)
 
@@ -177,9 +177,11 @@ def _themed(svg: str) -> str:
 
 
 def _percent_axis(axis: Axis) -> None:
-    from matplotlib.ticker import PercentFormatter
+    """Few ticks, each with all its digits."""
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-    axis.set_major_formatter(PercentFormatter(1, decimals=0, symbol=" %"))
+    axis.set_major_locator(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]))
+    axis.set_major_formatter(FuncFormatter(lambda share, _: f"{100 * share:.6g} %"))
 
 
 def _of(share: float) -> str:

@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 from l2p.auditing import Audit, Trial
 from l2p.exhibit import Exhibit
@@ -17,11 +17,18 @@ from l2p.page import MOST_POINTS
 from l2p.page.charts import charts
 from l2p.page.numbers import count, fraction, length, percent
 from l2p.page.render import render
-from l2p.page.words import headline, sparser
+from l2p.page.words import headline, sparser, typical
 
 #: What the folder holds.
 PAGE, FIGURES = FILES = ("index.html", "audit.json")
 _TABLE_SPACINGS = ("0.25", "0.5", "1", "2")
+
+
+class Head(NamedTuple):
+    """The heading of one column, or of several that have headings of their own ``under`` it."""
+
+    text: str
+    under: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -29,9 +36,14 @@ class Table:
     """A table of the page; the first cell of each row is its heading."""
 
     heading: str
-    columns: Sequence[str]
+    heads: Sequence[Head]
     rows: Sequence[Sequence[str]]
     note: str
+
+    @property
+    def grouped(self) -> bool:
+        """Whether the headings take two rows."""
+        return any(head.under for head in self.heads)
 
 
 def save_report(
@@ -64,6 +76,7 @@ def report_page(audit: Audit, command: str | None = None, most_points: int = MOS
         most_points,
         audit=audit,
         headline=headline(audit),
+        typical=typical(audit),
         sparser=sparser(audit),
         tables=_tables(audit),
         charts=charts(audit),
@@ -97,20 +110,23 @@ def _tables(audit: Audit) -> list[Table]:
 
 
 def _measured_table(audit: Audit) -> Table:
-    columns = ["Points lifted", "Lines", "Median error (spacings)"]
-    columns += [f"Within {limit}" for limit in _TABLE_SPACINGS]
-    columns += ["Most confident half within 1"]
-    columns += ["Within 1 as predicted", "Calibration error"] if audit.calibrated else []
-    columns += ["Seconds"]
-    note = "Within 0.25, 0.5, 1 and 2: share of the points that are at most so many spacings from their true place. "
+    heads = [Head("Points published"), Head("Lines"), Head("Median error (spacings)")]
+    heads += [Head("Recovered within … spacings", _TABLE_SPACINGS)]
+    note = (
+        "Recovered within: share of the published points that come out at most so far from their true place. Confident "
+        "half: the same of the half of the points that the attack is most confident of. "
+    )
     if audit.calibrated:
+        heads += [Head("Within 1 spacing", ("confident half", "as predicted")), Head("Calibration error")]
         note += (
             "As predicted: what an attacker, who does not know the truth, would expect. Calibration error: mean gap "
             "between the confidence and the share that is right, in groups of equal confidence; 0 is best."
         )
     else:
+        heads += [Head("Within 1 spacing", ("confident half",))]
         note += f"The confidence of the method {audit.method} ranks points and is no probability."
-    return Table("By share of the points", columns, [_measured_row(trial) for trial in audit.trials], note)
+    heads += [Head("Seconds")]
+    return Table("By share of the points", heads, [_measured_row(trial) for trial in audit.trials], note)
 
 
 def _measured_row(trial: Trial) -> list[str]:
@@ -132,21 +148,21 @@ def _metric_table(audit: Audit) -> Table:
         for trial in audit.trials
         if trial.scores is not None
     ]
-    columns = ["Points lifted", "Median error", *(f"Within {limit}\N{NO-BREAK SPACE}cm" for limit in limits)]
-    return Table("In centimetres", columns, rows, "Taken as metres, as --metric says.")
+    heads = [Head("Points published"), Head("Median error"), Head("Recovered within … cm", tuple(limits))]
+    return Table("In centimetres", heads, rows, "These lengths are right if the units of the map are metres.")
 
 
 def _predicted_table(audit: Audit) -> Table:
     trial = audit.trials[0]
-    within = "-" if trial.prediction is None else percent(trial.prediction.within_spacing)
-    half = "-" if trial.prediction is None else percent(trial.prediction.confident_half)
-    return Table(
-        "Predicted, not measured",
-        ["Lines", "1 spacing, estimated", "Expected within 1 spacing", "Most confident half", "Seconds"],
-        [[count(len(trial)), length(audit.spacing, audit.metric), within, half, f"{trial.seconds:.1f}"]],
-        "The expected share is the mean confidence; the spacing is that of the recovered points, which is usually a "
-        "little below that of the map.",
-    )
+    heads = [Head("Lines"), Head("1 spacing, estimated")]
+    row = [count(len(trial)), length(audit.spacing, audit.metric)]
+    note = "The spacing is that of the recovered points, which is usually a little below that of the map."
+    if trial.prediction is not None:
+        heads += [Head("Expected within 1 spacing", ("all points", "confident half"))]
+        row += [percent(trial.prediction.within_spacing), percent(trial.prediction.confident_half)]
+        note = f"The expected share is the mean confidence, also of the most confident half. {note}"
+    heading = "Not measured" if trial.prediction is None else "Predicted, not measured"
+    return Table(heading, [*heads, Head("Seconds")], [[*row, f"{trial.seconds:.1f}"]], note)
 
 
 def _facts(audit: Audit) -> list[tuple[str, str]]:
@@ -160,7 +176,7 @@ def _facts(audit: Audit) -> list[tuple[str, str]]:
         ("Given", f"{audit.name}: {count(audit.points)} {'points' if audit.known else 'lines'}"),
         ("Method", audit.method),
         ("Checkpoint", weights),
-        ("Seed of the liftings", "" if audit.seed is None else str(audit.seed)),
+        ("Seed of the line clouds", "" if audit.seed is None else str(audit.seed)),
         ("Versions", ", ".join(f"{name} {version}" for name, version in figures["versions"].items())),
         ("Machine", f"{where['processor']}, {where['threads']} of {where['cores']} cores{memory}, {where['system']}"),
         ("Date", datetime.datetime.now(datetime.timezone.utc).date().isoformat()),

@@ -61,12 +61,12 @@ def _places(points: Float[np.ndarray, "rows 3"] | None, rows: Int[np.ndarray, " 
 
 
 def _lines(lines: LineCloud | None, rows: Int[np.ndarray, " some"], stance: Stance) -> dict[str, Any]:
-    """The ends of the drawn lines, and how many these are."""
+    """The ends of the drawn lines, how many these are, and of how many that were chosen: some may pass by."""
     if lines is None:
-        return {"lines": None, "linesShown": 0}
+        return {"lines": None, "linesTried": 0, "linesShown": 0}
     some = rows[_thinned(len(rows), MOST_LINES)]
     chords = stance.chords(LineCloud(lines.direction[some], lines.moment[some]))
-    return {"lines": _base64(chords.astype("<f4")), "linesShown": len(chords)}
+    return {"lines": _base64(chords.astype("<f4")), "linesTried": len(some), "linesShown": len(chords)}
 
 
 def _counts(

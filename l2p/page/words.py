@@ -18,7 +18,7 @@ def headline(audit: Audit) -> str:
         return f"{count(len(trial))} points were recovered, but how many of them are right is not known."
     of = "points"
     if audit.known and trial.fraction < 1:
-        of = f"lifted points ({fraction(trial.fraction)} of the map)"
+        of = f"published points ({fraction(trial.fraction)} of the map)"
     if not audit.known:
         return (
             f"About {percent(within)} of the {of} are expected to be recovered within {spacing}; among the most "
@@ -34,6 +34,14 @@ def _knowledge(within: float, half: float) -> str:
     if half - within >= _TELLING:
         return f"the attacker has some idea which: the most confident half is right {percent(half)}"
     return f"the attacker can hardly tell which: the most confident half is right only {percent(half)}"
+
+
+def typical(audit: Audit) -> str:
+    """How far off the points typically are, of the largest share of the map; empty unless lengths are known."""
+    scores = audit.trials[0].scores
+    if scores is None or not audit.metric:
+        return ""
+    return f"Half of the points come out within {length(scores.median, True)} of their true place."
 
 
 def sparser(audit: Audit) -> str:

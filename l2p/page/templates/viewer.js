@@ -177,18 +177,21 @@ function say() {
   const least = Math.min(floor, top);
   find("floor-value").textContent = cloud.calibrated ? percent(least, data.levels) : (least / 100).toFixed(2);
   find("floor").disabled = find("color").disabled = layer !== "recovered";
-  const thinned = cloud.shown < cloud.count ? ` The picture shows ${number(cloud.shown)} of them, drawn at random.` : "";
-  let text = `${number(cloud.count)} points.${thinned}`;
+  const thinned = cloud.shown < cloud.count ? ` The picture shows ${number(cloud.shown)} of all, drawn at random.` : "";
+  let text = `${number(cloud.count)} points.`;
   if (layer === "lines") {
-    text = `${number(cloud.count)} lines.`
-      + (cloud.linesShown < cloud.count ? ` The picture shows ${number(cloud.linesShown)} of them.` : "");
+    text = `${number(cloud.count)} lines.`;
+    if (cloud.linesTried < cloud.count) text += ` The picture shows ${number(cloud.linesShown)} of them, drawn at random.`;
+    else if (cloud.linesShown < cloud.count) text += ` Left out of the picture: ${number(cloud.count - cloud.linesShown)}, far from the others.`;
   } else if (layer === "recovered" && cloud.kept) {
     const kept = cloud.kept[least], right = cloud.right && cloud.right[least];
-    text = `${number(kept)} of ${number(cloud.count)} points stay (${percent(kept, cloud.count)}).`;
+    text = least
+      ? `${number(kept)} of ${number(cloud.count)} points (${percent(kept, cloud.count)}) are at least so confident.`
+      : `${number(cloud.count)} recovered points.`;
     if (cloud.right && cloud.measured) text += ` ${number(right)} of these (${percent(right, kept)}) are right: within 1 spacing.`;
     if (cloud.right && !cloud.measured) text += ` About ${percent(right, kept)} of these are expected to be within 1 spacing.`;
-    if (thinned) text += ` Of all points the picture knows ${number(cloud.shown)}, drawn at random.`;
   }
+  if (layer !== "lines") text += thinned;
   find("status").textContent = text;
   const labels = { error: ["right", `${data.errorLimit} spacings off or more`], confidence: ["sure", "unsure"] }[color];
   find("legend").hidden = layer !== "recovered" || !labels;
@@ -240,14 +243,16 @@ canvas.addEventListener("wheel", (event) => {
   event.preventDefault();
   zoom(Math.exp(Math.max(-50, Math.min(50, event.deltaY)) * 0.003));
 }, { passive: false });
+const ARROWS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 const KEYS = {
-  ArrowLeft: () => turn(0.08, 0), ArrowRight: () => turn(-0.08, 0), ArrowUp: () => turn(0, 0.08),
-  ArrowDown: () => turn(0, -0.08), "+": () => zoom(0.85), "=": () => zoom(0.85), "-": () => zoom(1 / 0.85), 0: reset,
+  ...Object.fromEntries(Object.entries(ARROWS).map(([key, [x, y]]) =>
+    [key, (shift) => shift ? move(-30 * x, -30 * y) : turn(0.08 * x, 0.08 * y)])),
+  "+": () => zoom(0.85), "=": () => zoom(0.85), "-": () => zoom(1 / 0.85), 0: reset,
 };
 canvas.addEventListener("keydown", (event) => {
   if (!KEYS[event.key] || event.ctrlKey || event.metaKey) return;
   event.preventDefault();
-  KEYS[event.key]();
+  KEYS[event.key](event.shiftKey);
 });
 find("closer").addEventListener("click", () => zoom(0.8));
 find("farther").addEventListener("click", () => zoom(1.25));
