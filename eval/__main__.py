@@ -11,8 +11,8 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from eval.config import CONFIGS, settings_of
+from eval.launch import explained, launch
 from eval.program import evaluate_all
-from l2p.errors import InputError
 
 
 @hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name="eval")
@@ -20,10 +20,8 @@ def main(config: DictConfig) -> None:
     """Run what the config asks for; exit code 2 is a user's error, 1 cells that failed, 130 Ctrl-C."""
     command = shlex.join(["python", "-m", "eval", *HydraConfig.get().overrides.task])
     try:
-        failed = evaluate_all(settings_of(config), Path(HydraConfig.get().runtime.output_dir), command)
-    except (InputError, FileNotFoundError) as error:
-        print(f"eval: {error}", file=sys.stderr)
-        sys.exit(2)
+        with explained("eval"):
+            failed = evaluate_all(settings_of(config), Path(HydraConfig.get().runtime.output_dir), command)
     except KeyboardInterrupt:
         print("eval: interrupted; the same command continues the run", file=sys.stderr)
         sys.exit(130)
@@ -33,4 +31,4 @@ def main(config: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    launch("eval", main)

@@ -10,7 +10,9 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from eval.methods import Contender, contenders_of
+from l2p.attack import usable_device
 from l2p.errors import InputError
+from l2p.threads import MOST_THREADS
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 
@@ -96,12 +98,13 @@ def settings_of(config: DictConfig) -> Settings:
         if not 0 < fraction <= 1:
             raise InputError(f"got fraction {fraction}; expected a number in (0, 1], the share of the points to lift")
     for seed in resolved["seeds"]:
-        _check_at_least("seed", seed, 0)
+        _check_range("seed", seed, 0, 2**63 - 1)
     if set(resolved["steps"]) - set(STEPS):
         raise InputError(f"got steps {resolved['steps']}; expected some of {', '.join(STEPS)}")
     for key in ("processes", "threads"):
         if resolved[key] is not None:
-            _check_at_least(key, resolved[key], 1)
+            _check_range(key, resolved[key], 1, MOST_THREADS)
+    usable_device(resolved["device"])
     return Settings(
         name=resolved["name"],
         scenes=tuple(resolved["scenes"]),
@@ -114,7 +117,7 @@ def settings_of(config: DictConfig) -> Settings:
         threads=resolved["threads"],
         device=resolved["device"],
         pictures=_pictures(resolved["pictures"], resolved["fractions"]),
-        docs=None if resolved["docs"] is None else Path(resolved["docs"]),
+        docs=None if resolved["docs"] is None else _page(Path(resolved["docs"])),
         update=tuple(_there(Path(file)) for file in resolved["update"]),
         resolved=resolved,
     )
@@ -134,6 +137,20 @@ def _pictures(given: dict[str, Any], fractions: list[float]) -> Pictures:
 def _there(file: Path) -> Path:
     if not file.is_file():
         raise FileNotFoundError(f"{file} does not exist; expected a Markdown file to update")
+    try:
+        file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file} is no text in UTF-8; expected a Markdown file to update") from error
+    return file
+
+
+def _page(file: Path) -> Path:
+    """A page that can be written, with images beside it; the folder is made if need be."""
+    if file.is_dir():
+        raise InputError(f"got docs {file}, which is a folder; expected the name of a Markdown file")
+    there = next(place for place in file.absolute().parents if place.exists())
+    if not there.is_dir():
+        raise InputError(f"got docs {file}, but {there} is no folder; expected the name of a Markdown file in one")
     return file
 
 
@@ -144,6 +161,6 @@ def _check_list(key: str, values: list[Any]) -> None:
         raise InputError(f"got {key} {values}; expected each of them once")
 
 
-def _check_at_least(key: str, value: int, least: int) -> None:
-    if value < least:
-        raise InputError(f"got {key} {value}; expected at least {least}")
+def _check_range(key: str, value: int, least: int, most: int) -> None:
+    if not least <= value <= most:
+        raise InputError(f"got {key} {value}; expected at least {least}, at most {most}")

@@ -6,6 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from zipfile import is_zipfile
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +17,7 @@ from l2p.io.kinds import SCENES, kind_of
 from l2p.metrics import spacing
 from l2p.scene import Scene
 from l2p.simulator import KINDS as SIMULATED
-from l2p.simulator import simulate
+from l2p.simulator import MAX_POINTS, MIN_POINTS, simulate
 
 #: The first word of a kind in SOURCES.md, or the kind of a simulated scene, in the three words of the tables.
 KINDS = {
@@ -87,6 +88,8 @@ def _simulated(entry: str) -> SceneSource:
     parts = entry.split(":")
     if len(parts) != 4 or parts[1] not in SIMULATED or not (parts[2].isdecimal() and parts[3].isdecimal()):
         raise InputError(f"got scene {entry!r}; expected sim:KIND:POINTS:SEED with a kind of {', '.join(SIMULATED)}")
+    if not MIN_POINTS <= int(parts[2]) <= MAX_POINTS:
+        raise InputError(f"got scene {entry!r}; expected at least {MIN_POINTS} points, at most {MAX_POINTS}")
     return SceneSource("-".join(parts), entry, parts[1])
 
 
@@ -106,7 +109,8 @@ def _is_scene(path: Path) -> bool:
     try:
         return kind_of(path) in SCENES
     except InputError:
-        return False
+        # One that is cut short may be a scene: whoever reads it says what is wrong with it.
+        return path.suffix == ".npz" and path.is_file() and not is_zipfile(path)
 
 
 def _described_kinds(path: Path) -> dict[str, str]:

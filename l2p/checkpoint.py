@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_origin, get_type_hints
 
 import torch
 from torch import Tensor
@@ -159,7 +161,7 @@ def read(path: str | PathLike[str]) -> Checkpoint:
         calibration = [[(float(a), float(b)) for a, b in part] for part in json.loads(metadata["calibration"])]
         radii = tuple(json.loads(metadata["radii"]))
         facts = dict(json.loads(metadata["facts"]))
-    except (KeyError, TypeError, ValueError, ArithmeticError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise InputError(f"{path} has a damaged header ({error}); download or train the checkpoint again") from error
     if radii != RADII:
         raise InputError(f"{path} knows how sure it is within {radii} spacings; expected {RADII}; train it again")
@@ -167,6 +169,8 @@ def read(path: str | PathLike[str]) -> Checkpoint:
         raise InputError(
             f"{path} has {len(calibration)} calibrations for {config.rounds} rounds; expected one a round and radius"
         )
+    if not all(math.isfinite(number) for part in calibration for pair in part for number in pair):
+        raise InputError(f"{path} has calibrations that are NaN or infinite; it is damaged")
     return Checkpoint(_network(path, size, tensors), config, calibration, facts)
 
 
@@ -182,15 +186,20 @@ def configured(kind: type[Config], values: dict[str, Any]) -> Config:
 def _value(kind: Any, value: Any) -> Any:
     if is_dataclass(kind):
         return configured(kind, value)  # type: ignore[arg-type]
-    return tuple(value) if isinstance(value, list) else value  # JSON and YAML know no tuples
+    if isinstance(value, list):
+        value = tuple(value)  # JSON and YAML know no tuples
+    taken = (int, float) if kind is float else get_origin(kind) or kind
+    if not isinstance(value, taken) or isinstance(value, bool):
+        raise ValueError(f"got {value!r}, expected {kind}")
+    return value
 
 
 def _opened(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
     from safetensors import SafetensorError, safe_open
 
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError(f"{path} is a folder; expected a checkpoint file, *.safetensors")
-    if not path.exists():
+    if not os.path.exists(path):
         raise FileNotFoundError(f"{path} does not exist; expected a checkpoint file, *.safetensors")
     try:
         with safe_open(str(path), framework="pt") as file:
@@ -209,11 +218,14 @@ def _check_format(path: Path, metadata: dict[str, str]) -> None:
 
 
 def _network(path: Path, size: NetworkConfig, tensors: dict[str, Tensor]) -> LineTransformer:
+    if size.layers > len(tensors) or size.width > sum(value.numel() for value in tensors.values()):
+        raise InputError(f"{path} has too few tensors for {size.layers} layers of width {size.width}; it is damaged")
     try:
-        network = LineTransformer(size)
+        # Without numbers: nothing is allocated that the tensors of the file do not fill.
+        with torch.device("meta"):
+            expected = {name: tuple(value.shape) for name, value in LineTransformer(size).state_dict().items()}
     except (TypeError, ValueError, RuntimeError, ArithmeticError) as error:
         raise InputError(f"{path} has sizes that no network has ({error}); it is damaged") from error
-    expected = {name: tuple(value.shape) for name, value in network.state_dict().items()}
     if set(expected) != set(tensors):
         name = min(set(expected) ^ set(tensors))
         raise InputError(f"{path} {'lacks' if name in expected else 'has an unknown'} tensor {name}; it is damaged")
@@ -224,5 +236,6 @@ def _network(path: Path, size: NetworkConfig, tensors: dict[str, Tensor]) -> Lin
             )
         if not bool(value.isfinite().all()):
             raise InputError(f"{path} has weights that are NaN or infinite in {name}; it is damaged")
+    network = LineTransformer(size)
     network.load_state_dict(tensors, strict=True)
     return network

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from l2p import __version__
-from l2p.errors import InputError
+from l2p.errors import InputError, sentence
 from l2p.methods import DEFAULT_METHOD, METHODS, SCENE_KINDS
 from l2p.page import MOST_POINTS
 
@@ -26,8 +26,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         import l2p.commands
 
         getattr(l2p.commands, arguments.command)(arguments)
-    except (InputError, FileNotFoundError, PermissionError) as error:
-        _complain(_sentence(error))
+    except (InputError, OSError) as error:
+        _complain(sentence(error))
         return USER_ERROR
     except KeyboardInterrupt:
         print("l2p: interrupted; nothing was written", file=sys.stderr)
@@ -43,15 +43,8 @@ class _Parser(argparse.ArgumentParser):
         raise SystemExit(USER_ERROR)
 
 
-def _complain(sentence: str) -> None:
-    print("l2p: error:", " ".join(sentence.split()), file=sys.stderr)
-
-
-def _sentence(error: Exception) -> str:
-    """What an error says; the system's own errors say a number and a name, so they are put into words."""
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {(error.strerror or 'cannot be opened').lower()}"
-    return str(error)
+def _complain(said: str) -> None:
+    print("l2p: error:", " ".join(said.split()), file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -231,9 +224,9 @@ def _add_demo(commands: Any) -> None:
 
 def _seed(word: str) -> int:
     """A number that random generators take and files hold."""
-    value = int(word)
+    value = int(word) if word.strip().isdecimal() else -1
     if not 0 <= value < 2**63:
-        raise argparse.ArgumentTypeError(f"got {value}; expected 0 to 2^63 - 1")
+        raise argparse.ArgumentTypeError(f"got {word}; expected 0 to 2^63 - 1")
     return value
 
 

@@ -272,8 +272,12 @@ def _shown(path: str) -> str:
 
 
 def _check_threads(threads: int | None) -> None:
-    if threads is not None and threads < 1:
-        raise InputError(f"got --threads {threads}; expected at least 1")
+    if threads is None:
+        return
+    from l2p.threads import MOST_THREADS  # loads torch
+
+    if not 1 <= threads <= MOST_THREADS:
+        raise InputError(f"got --threads {threads}; expected at least 1, at most {MOST_THREADS}")
 
 
 def _model_output(arguments: Namespace) -> bool:

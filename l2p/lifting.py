@@ -105,10 +105,9 @@ def lattice_step(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " p
     size = np.abs(points).max(axis=1)
     if not size.any():
         return np.zeros(len(points))
-    with np.errstate(over="ignore", invalid="ignore"):  # numbers that single precision cannot hold
-        single = (points.astype(np.float32) == points).all(axis=1)
-        rounding = np.where(single[:, None], np.spacing(np.abs(points).astype(np.float32)), np.spacing(np.abs(points)))
-        step = np.where(single, np.spacing(size.astype(np.float32)), 0.0)
+    single = (points.astype(np.float32) == points).all(axis=1)
+    rounding = np.where(single[:, None], np.spacing(np.abs(points).astype(np.float32)), np.spacing(np.abs(points)))
+    step = np.where(single, np.spacing(size.astype(np.float32)), 0.0)
     for digits in range(10):
         if _rounded(points, np.full_like(points, 10.0**-digits), rounding):
             step = np.maximum(step, 10.0**-digits)
@@ -124,9 +123,10 @@ def _rounded(
     points: Float[np.ndarray, "points 3"], unit: Float[np.ndarray, "points 3"], rounding: Float[np.ndarray, "points 3"]
 ) -> bool:
     """Whether at least half of the points are multiples of their unit, as far as their rounding lets see it."""
-    multiple, slack = points / unit, 4 * rounding / unit
-    # A unit of a few roundings would hold any point.
-    on = (np.abs(multiple - np.rint(multiple)) <= slack) & (slack < 0.05)
+    with np.errstate(divide="ignore", invalid="ignore"):  # the last digit of the tiniest numbers is 0
+        multiple, slack = points / unit, 4 * rounding / unit
+        # A unit of a few roundings would hold any point.
+        on = (np.abs(multiple - np.rint(multiple)) <= slack) & (slack < 0.05)
     return bool(on.all(axis=1).mean() >= 0.5)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from os import PathLike
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from l2p.errors import InputError
 
@@ -15,6 +15,11 @@ UNIT_TOLERANCE = 1e-4
 #: What rounding in double precision leaves of |d| - 1 and |d . m| / |m| once they were put right. Smaller ones are
 #: left alone, so that a line cloud read back from its file is the same to the last bit.
 _ROUNDING = 8 * np.finfo(np.float64).eps
+#: Coordinates reach no farther from zero: products of a few of them are finite, also in single precision once they
+#: are counted in the size of the scene.
+FARTHEST = 1e30
+#: What a number is that fails :func:`in_range`.
+OUT_OF_RANGE = "NaN, infinite or beyond 1e30"
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +40,8 @@ class LineCloud:
     Raises
     ------
     InputError
-        If shapes differ, numbers are not finite, a direction has no length or a moment is not perpendicular to it.
+        If shapes differ, numbers are not finite or beyond 1e30, a direction has no length or a moment is not
+        perpendicular to it.
     """
 
     direction: Float[np.ndarray, "lines 3"]
@@ -116,15 +122,20 @@ class LineCloud:
 
 
 def finite_rows(name: str, value: object) -> Float[np.ndarray, "lines 3"]:
-    """``value`` as a fresh finite (lines, 3) float64 array."""
+    """``value`` as a fresh (lines, 3) float64 array of numbers in range."""
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
         raise InputError(f"got {name} of type {array.dtype}; expected numbers")
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"got {name} of shape {array.shape}; expected (lines, 3)")
     array = array.astype(np.float64)
-    _refuse(np.asarray(~np.isfinite(array).all(axis=1)), f"{name} that is NaN or infinite", "remove the line")
+    _refuse(np.asarray(~in_range(array).all(axis=1)), f"{name} that is {OUT_OF_RANGE}", "remove the line")
     return array
+
+
+def in_range(array: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
+    """Which numbers are finite and of a size that can be computed with."""
+    return np.abs(array) <= FARTHEST
 
 
 def _refuse(bad: np.ndarray, what: str, mend: str) -> None:

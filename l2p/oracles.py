@@ -46,8 +46,7 @@ class Oracle:
     """
 
     def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 50, outliers: float = 0.0, seed: int = 0) -> None:
-        if k < 1:
-            raise InputError(f"got k = {k}; expected at least 1 neighbour")
+        _check_count("k", k)
         if not 0 <= outliers <= 1:
             raise InputError(f"got outliers = {outliers}; expected a share in [0, 1]")
         self.points, self.k, self.outliers, self.seed = finite_rows("points", points), k, outliers, seed
@@ -95,6 +94,8 @@ class CandidateOracle:
     def __init__(
         self, points: Float[np.ndarray, "lines 3"], attack: Method, k: int = 50, candidates: int = 200
     ) -> None:
+        _check_count("k", k)
+        _check_count("candidates", candidates)
         self.points, self.attack = finite_rows("points", points), attack
         self.k, self.candidates = k, candidates
 
@@ -129,6 +130,7 @@ class LeaveOneOut:
     """
 
     def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 128) -> None:
+        _check_count("k", k)
         self.points, self.k = finite_rows("points", points), k
 
     def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
@@ -183,6 +185,11 @@ def _mode(
         total = pull.sum(dim=1, keepdim=True)
         beta = torch.where(total > 0, (pull * position).sum(dim=1, keepdim=True) / total.clamp_min(1e-30), beta)
     return beta[:, 0], (highest / weight.sum(dim=1).clamp_min(1e-30)).clamp(0, 1)
+
+
+def _check_count(name: str, count: int) -> None:
+    if count < 1:
+        raise InputError(f"got {name} = {count}; expected at least 1 neighbour")
 
 
 def _same_count(lines: Lines, points: Float[np.ndarray, "points 3"]) -> None:

@@ -13,6 +13,9 @@ from typing import TypeVar
 
 import torch
 
+#: Threads that can be asked for: OpenMP crashes the process where the system does not give it as many.
+MOST_THREADS = 1024
+
 Found = TypeVar("Found")
 
 

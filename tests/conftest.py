@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 # Small problems are faster on one thread; read when torch loads.
@@ -54,6 +56,38 @@ def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def rng() -> np.random.Generator:
     """A generator of its own for each test."""
     return np.random.default_rng(0)
+
+
+class Counter:
+    """A progress that shows nothing and counts the steps of its task."""
+
+    def __init__(self) -> None:
+        self.done = self.total = 0
+
+    def task(self, name: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
+        self.total = total
+        return nullcontext(self.add)
+
+    def add(self, count: int) -> None:
+        self.done += count
+
+
+@pytest.fixture
+def counter() -> Counter:
+    return Counter()
+
+
+@pytest.fixture(scope="session")
+def on_walls() -> Callable[[int], np.ndarray]:
+    """Makes so many points on the walls of a room, (points, 3)."""
+
+    def make(count: int) -> np.ndarray:
+        rng = np.random.default_rng(0)
+        points = rng.uniform(-1, 1, size=(count, 3))
+        points[np.arange(count), rng.integers(0, 3, count)] = rng.choice([-1.0, 1.0], count)
+        return points * [3, 2, 1.2]
+
+    return make
 
 
 @pytest.fixture(scope="session")

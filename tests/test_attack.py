@@ -24,12 +24,8 @@ from l2p.recovery import Recovery
 
 
 @pytest.fixture(scope="module")
-def truth() -> np.ndarray:
-    """Points on the walls of a room."""
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, size=(1000, 3))
-    points[np.arange(1000), rng.integers(0, 3, 1000)] = rng.choice([-1.0, 1.0], 1000)
-    return points * [3, 2, 1.2]
+def truth(on_walls) -> np.ndarray:
+    return on_walls(1000)
 
 
 @pytest.fixture(scope="module")

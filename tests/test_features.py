@@ -92,7 +92,7 @@ def slow_votes(scene: Scene, nodes: Nodes, i: int, j: int) -> dict[str, float]:
     cuts = (slow_cut(scene, surface, i, j) for surface in (nodes.surface, nodes.wide))
     cut, wide_cut = (foot + max(-3 * scale, min(3 * scale, cut - foot)) for cut in cuts)
     closest = np.linalg.lstsq(np.stack([d, -along], axis=1), other - o, rcond=None)[0][0]
-    return {"closest": closest, "foot": foot, "cut": cut, "wide_cut": wide_cut}
+    return {"closest": float(closest), "foot": foot, "cut": cut, "wide_cut": wide_cut}
 
 
 def slow_surface(scene: Scene, surface: Surface, side: float, i: int, j: int) -> dict[str, float]:
@@ -105,7 +105,7 @@ def slow_surface(scene: Scene, surface: Surface, side: float, i: int, j: int) ->
         return compressed(abs(normal @ (place - centre)) / scale)
 
     return {
-        "incidence": max(0.05, abs(normal @ d)),
+        "incidence": max(0.05, float(abs(normal @ d))),
         "planarity": float(surface.planarity[j]),
         "linearity": float(surface.linearity[j]),
         "cut": side * compressed((slow_cut(scene, surface, i, j) - float(scene.beta[i])) / scale),

@@ -75,7 +75,7 @@ def test_colours_follow_their_points(walk):
     [
         ({"points": np.zeros((0, 3))}, "got a scene without points; expected at least one point to lift"),
         ({"points": np.zeros((5, 2))}, r"got points of shape \(5, 2\); expected \(lines, 3\)"),
-        ({"points": np.full((5, 3), np.nan)}, r"got 5 line\(s\) with a points that is NaN or infinite"),
+        ({"points": np.full((5, 3), np.nan)}, r"got 5 line\(s\) with a points that is NaN, infinite or beyond 1e30"),
         ({"fraction": 0.0}, r"got fraction 0.0; expected a number in \(0, 1\], the share of the points to lift"),
         ({"fraction": 1.1}, r"got fraction 1.1; expected a number in \(0, 1\]"),
         ({"fraction": float("nan")}, r"got fraction nan; expected a number in \(0, 1\]"),
@@ -232,7 +232,7 @@ def test_far_points_do_not_coarsen_the_rounding_of_near_ones():
     assert lattice_step(points)[1:].max() < 1e-6
 
 
-@pytest.mark.parametrize("points", [np.zeros((4, 3)), np.full((3, 3), 1e100 / 3)])
+@pytest.mark.parametrize("points", [np.zeros((4, 3)), np.full((3, 3), 1e30 / 3), np.full((3, 3), 1e-320)])
 def test_points_of_no_or_of_any_size_can_be_lifted(points):
     cloud, index = lift_indexed(points, seed=0)
     assert np.isfinite(cloud.moment).all() and len(index) == len(points)

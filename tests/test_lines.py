@@ -127,8 +127,8 @@ UP, SIDE = np.tile([0.0, 0, 1], (4, 1)), np.tile([1.0, 0, 0], (4, 1))
         (UP, SIDE[:3], r"got 4 directions and 3 moments; expected one moment"),
         (UP[:, :2], SIDE, r"got direction of shape \(4, 2\); expected \(lines, 3\)"),
         (UP, SIDE.ravel(), r"got moment of shape \(12,\); expected \(lines, 3\)"),
-        (replaced(np.nan), SIDE, r"1 line\(s\) with a direction that is NaN or infinite, first at line 2; remove"),
-        (UP, replaced(np.inf), r"1 line\(s\) with a moment that is NaN or infinite, first at line 2"),
+        (replaced(np.nan), SIDE, r"1 line\(s\) with a direction that is NaN, infinite or beyond 1e30, first at line 2"),
+        (UP, replaced(np.inf), r"1 line\(s\) with a moment that is NaN, infinite or beyond 1e30, first at line 2"),
         (UP * 0, SIDE, r"4 line\(s\) with a direction of length other than 1, first at line 0; normalise"),
         (replaced(0.1), SIDE, r"1 line\(s\) with a direction of length other than 1, first at line 2"),
         (UP, UP, r"4 line\(s\) with a moment that is not perpendicular to its direction, first at line 0; store p x d"),
@@ -155,5 +155,5 @@ def test_lines_through_points_need_a_direction_each():
         LineCloud.through(SIDE, UP[:3])
     with pytest.raises(InputError, match=r"got 4 line\(s\) with a direction of length 0, first at line 0; remove"):
         LineCloud.through(SIDE, UP * 0)
-    with pytest.raises(InputError, match=r"got 1 line\(s\) with a point that is NaN or infinite, first at line 2"):
+    with pytest.raises(InputError, match=r"got 1 line\(s\) with a point that is NaN, infinite or .*, first at line 2"):
         LineCloud.through(replaced(np.nan), UP)

@@ -46,12 +46,8 @@ def test_the_line_line_distance_of_neighbours_is_uniform_up_to_their_distance(pa
 
 
 @pytest.fixture(scope="module")
-def room() -> np.ndarray:
-    """Points on the walls of a room."""
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, size=(4000, 3))
-    points[np.arange(4000), rng.integers(0, 3, 4000)] = rng.choice([-1.0, 1.0], 4000)
-    return points * [3, 2, 1.2]
+def room(on_walls) -> np.ndarray:
+    return on_walls(4000)
 
 
 def oracle_errors(points: np.ndarray, k: int, outliers: float = 0.0) -> np.ndarray:

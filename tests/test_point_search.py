@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
-
 import pytest
 import torch
 
@@ -210,18 +208,7 @@ def test_same_points_give_the_same_tree():
     assert torch.equal(first.index, second.index) and torch.equal(first.sample, second.sample)
 
 
-def test_progress_counts_every_line_once(deep, monkeypatch):
-    class Counter:
-        done = total = 0
-
-        def task(self, name, total):
-            self.total = total
-            return nullcontext(self.add)
-
-        def add(self, count: int) -> None:
-            self.done += count
-
-    counter = Counter()
+def test_progress_counts_every_line_once(deep, counter, monkeypatch):
     monkeypatch.setattr(point_search, "_DEVIATIONS", 0.0)
     monkeypatch.setattr(search, "MANY", 1)
     lines, points, scale = draw("random")

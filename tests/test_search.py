@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -145,19 +144,7 @@ def test_many_lines_agree_with_the_full_table(name, monkeypatch):
     check(run(lines, points, 20, tile=1 << 16), table, 20, atol=1e-9)
 
 
-def test_progress_counts_every_line_once():
-    class Counter:
-        def __init__(self) -> None:
-            self.done = 0
-
-        def task(self, name, total):
-            self.total = total
-            return nullcontext(self.add)
-
-        def add(self, count: int) -> None:
-            self.done += count
-
-    counter = Counter()
+def test_progress_counts_every_line_once(counter):
     lines, _ = draw(23)
     nearest_lines_to_lines(lines, 3, tile=100, progress=counter)
     assert counter.done == counter.total == 23

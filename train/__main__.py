@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from l2p.errors import InputError
+from eval.launch import explained, launch
 from train.config import CONFIGS, settings_of
 
 
 @hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name="train")
 def main(config: DictConfig) -> None:
-    """Train what the config asks for; 2 is the exit code of a user's error."""
+    """Train what the config asks for; exit code 2 is a user's error."""
     command = shlex.join(["python", "-m", "train", *HydraConfig.get().overrides.task])
-    try:
+    with explained("train"):
         settings = settings_of(config)
         # Lightning takes seconds to load; a wrong config is told at once.
         from lightning.pytorch.utilities import rank_zero_only
@@ -26,12 +25,9 @@ def main(config: DictConfig) -> None:
         from train.program import train_all
 
         model = train_all(settings, Path(HydraConfig.get().runtime.output_dir), command)
-        if rank_zero_only.rank == 0:
-            print(model)
-    except (InputError, FileNotFoundError) as error:
-        print(f"train: {error}", file=sys.stderr)
-        sys.exit(2)
+    if rank_zero_only.rank == 0:
+        print(model)
 
 
 if __name__ == "__main__":
-    main()
+    launch("train", main)

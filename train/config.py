@@ -14,7 +14,8 @@ from l2p.checkpoint import configured
 from l2p.errors import InputError
 from l2p.learned import LearnedConfig
 from l2p.network import NetworkConfig
-from l2p.simulator import MIN_POINTS
+from l2p.simulator import MAX_POINTS, MIN_POINTS
+from l2p.threads import MOST_THREADS
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 
@@ -137,6 +138,7 @@ CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "trainer"
 #: The least that whole numbers may be; a single line has no neighbour.
 _LEAST = {
     "min_lines": 2,
+    **dict.fromkeys(("seed", "simulated", "warmup"), 0),
     **dict.fromkeys(("steps", "clouds", "lines_per_batch", "validate_every", "patience", "save_every", "threads"), 1),
 }
 
@@ -178,6 +180,9 @@ def _check(resolved: dict[str, Any]) -> None:
     for key, least in _LEAST.items():
         if resolved[key] is not None and resolved[key] < least:
             raise InputError(f"got {key} {resolved[key]}; expected at least {least}")
+    for key, most in {"seed": 2**63 - 1, "threads": MOST_THREADS}.items():
+        if resolved[key] is not None and resolved[key] > most:
+            raise InputError(f"got {key} {resolved[key]}; expected at most {most}")
     for key in ("learning_rate", "weight_decay"):
         if not 0 <= resolved[key] < math.inf:
             raise InputError(f"got {key} {resolved[key]}; expected a number that is not negative")
@@ -192,8 +197,10 @@ def _check(resolved: dict[str, Any]) -> None:
     if resolved["learned"]["rounds"] < 1:
         raise InputError(f"got {resolved['learned']['rounds']} learned.rounds; expected at least 1")
     points = resolved["simulated_points"]
-    if len(points) != 2 or not MIN_POINTS <= points[0] <= points[1]:
-        raise InputError(f"got simulated_points {points}; expected [LEAST, MOST], at least {MIN_POINTS}")
+    if len(points) != 2 or not MIN_POINTS <= points[0] <= points[1] <= MAX_POINTS:
+        raise InputError(
+            f"got simulated_points {points}; expected [LEAST, MOST], at least {MIN_POINTS}, at most {MAX_POINTS}"
+        )
     for fraction in resolved["val_fractions"] or [0.0]:
         if not 0 < fraction <= 1:
             raise InputError(f"got val fraction {fraction}; expected numbers in (0, 1]")

@@ -15,6 +15,7 @@ from typing import Any, cast
 import lightning
 import torch
 import yaml
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Callback, EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
@@ -72,9 +73,13 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
         module = NetworkModule(network, settings.learned, settings.fit, sources, held_back)
     last = folder / "last.ckpt"
     if last.exists():
+        _check_state(last)
         log.info("going on from %s", last)
     with _quiet_lightning():
-        trainer = _trainer(settings, folder, callbacks)
+        try:
+            trainer = _trainer(settings, folder, callbacks)
+        except (MisconfigurationException, ValueError) as error:
+            raise InputError(f"got {settings.trainer} for Lightning's trainer, which says: {error}") from error
         try:
             trainer.fit(module, ckpt_path=str(last) if last.exists() else None, weights_only=True)
         except SIGTERMException as stop:
@@ -168,11 +173,23 @@ def _export(
     log.info("%s: %d parameters", model, sum(parameter.numel() for parameter in network.parameters()))
 
 
+def _check_state(last: Path) -> None:
+    try:
+        torch.load(last, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch and zipfile raise many types on damaged bytes
+        raise InputError(f"{last} is damaged; remove it to begin the run again") from error
+
+
 def _check_config(settings: Settings, folder: Path) -> None:
     """A run goes on with the config that it was started with, but for ``CHANGEABLE``."""
     file = folder / "config.yaml"
     if file.exists():
-        started = yaml.safe_load(file.read_text(encoding="utf-8"))
+        try:
+            started = yaml.safe_load(file.read_bytes())
+        except yaml.YAMLError:
+            started = None
+        if not isinstance(started, dict):
+            raise InputError(f"{file} is no config of a run; give name=ANOTHER, or remove the folder")
         other = [
             key
             for key in {**started, **settings.resolved}

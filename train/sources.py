@@ -9,6 +9,7 @@ import numpy as np
 
 from eval.scenes import scenes_of
 from l2p.errors import InputError
+from l2p.metrics import spacing
 from l2p.simulator import KINDS
 from train.clouds import CloudSource, read
 from train.config import DataSettings
@@ -36,7 +37,7 @@ class Sources:
         """All training scenes: the given ones, without those that are held back, and the simulated ones."""
         rng = np.random.default_rng([data.seed, 0])
         held_back = set(_found(data.val))
-        scenes = [(scene, len(read(scene).xyz)) for scene in _found(data.scenes) if scene not in held_back]
+        scenes = [(scene, _points(scene)) for scene in _found(data.scenes) if scene not in held_back]
         low, high = data.simulated_points
         for number in range(data.simulated):
             kind, points = KINDS[number % len(KINDS)], _log_uniform(low, high, rng)
@@ -60,7 +61,7 @@ def validation_sources(data: DataSettings) -> list[CloudSource]:
     """One lifting of each held-back scene at each fraction, never more than ``max_lines``."""
     sources: list[CloudSource] = []
     for scene in _found(data.val):
-        points = len(read(scene).xyz)
+        points = _points(scene)
         for fraction in data.val_fractions:
             source = CloudSource(scene, round(min(fraction, data.max_lines / points), 6), 0)
             if source not in sources:
@@ -72,6 +73,16 @@ def _found(entries: tuple[str, ...]) -> list[str]:
     """Scenes by names that do not depend on where the program is started."""
     sources = [scene.source for scene in scenes_of(entries, {})]
     return [source if source.startswith("sim:") else str(Path(source).resolve()) for source in sources]
+
+
+def _points(scene: str) -> int:
+    """How many points a scene has; one without extent is refused at once, and not when its turn comes."""
+    points = read(scene).xyz
+    try:
+        spacing(points)
+    except InputError as error:
+        raise InputError(f"{scene}: {error}") from error
+    return len(points)
 
 
 def _log_uniform(low: int, high: int, rng: np.random.Generator) -> int:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import BinaryIO
 
 from l2p.errors import InputError
@@ -65,26 +66,31 @@ def atomic_folder(
 
 def check_file(path: str | PathLike[str], *, overwrite: bool = False) -> None:
     """Refuse an output file that cannot or must not be written, before the work that would fill it starts."""
+    if not os.path.basename(path):
+        raise InputError(f"got {os.fspath(path)!r}; expected the name of a file to write")
     target = _target(path)
-    if target.is_dir():
-        raise InputError(f"{path} is a folder; expected the name of a file to write")
-    if target.exists() and not target.is_file():
-        raise InputError(f"{path} is not a regular file; choose another -o")
-    _check_place(path, overwrite)
+    with _explained(path):
+        if target.is_dir():
+            raise InputError(f"{path} is a folder; expected the name of a file to write")
+        if target.exists() and not target.is_file():
+            raise InputError(f"{path} is not a regular file; choose another -o")
+        _check_place(path, overwrite)
 
 
 def check_folder(
     path: str | PathLike[str], *, overwrite: bool = False, replaceable: frozenset[str] = frozenset()
 ) -> None:
     """Refuse an output folder that cannot or must not be written, before the work that would fill it starts."""
+    if not os.fspath(path):
+        raise InputError("got an empty path; expected the name of a folder to write")
     target = _target(path)
-    if target.exists() and not target.is_dir():
-        raise InputError(f"{path} is a file; expected the name of a folder to write")
-    _check_place(path, overwrite)
-    if target.is_dir():
-        foreign = sorted(entry.name for entry in target.iterdir() if entry.name not in replaceable)
-        if foreign:
-            raise InputError(f"{path} holds {foreign[0]}, which l2p did not write there; choose another -o")
+    with _explained(path):
+        if target.exists() and not target.is_dir():
+            raise InputError(f"{path} is a file; expected the name of a folder to write")
+        _check_place(path, overwrite)
+        foreign = sorted(set(os.listdir(target)) - replaceable) if target.is_dir() else []
+    if foreign:
+        raise InputError(f"{path} holds {foreign[0]}, which l2p did not write there; choose another -o")
 
 
 def _check_place(path: str | PathLike[str], overwrite: bool) -> None:
@@ -93,6 +99,9 @@ def _check_place(path: str | PathLike[str], overwrite: bool) -> None:
         raise InputError(f"the folder of {path} does not exist; create it or choose another -o")
     if target.exists() and not overwrite:
         raise InputError(f"{path} exists; choose another -o or add --force")
+    # Tried, and not asked: what a folder allows is no promise of its file system.
+    with TemporaryFile(dir=target.parent):
+        pass
 
 
 def _put_folder(source: Path, target: Path) -> None:

@@ -179,6 +179,12 @@ def _check_sizes(path: str | PathLike[str]) -> None:
             complete = False
         if not complete:
             raise InputError(f"{file} is truncated or damaged; export the model again")
+    cameras = Path(path) / "cameras.bin"
+    if cameras.is_file():
+        content = cameras.read_bytes()
+        # Their records are as long as their models say; no model has fewer than three parameters.
+        if 8 + 48 * int.from_bytes(content[:8], "little") > len(content):
+            raise InputError(f"{cameras} is truncated or damaged; export the model again")
 
 
 def _camera_bytes(model: Any) -> int:

@@ -54,6 +54,8 @@ def kind_of(path: str | PathLike[str]) -> Kind:
     InputError
         If it is empty or nothing that l2p reads.
     """
+    if not os.fspath(path):
+        raise InputError("got an empty path; expected that of a file or folder")
     if not os.path.lexists(path):
         raise FileNotFoundError(f"{path} does not exist")
     if os.path.isdir(path):

@@ -95,7 +95,7 @@ def _read_npz(path: str | PathLike[str]) -> LineCloud:
     fields.take_version(LINE_VERSION)
     direction = fields.take("direction", "fiu", (None, 3))
     moment = fields.take("moment", "fiu", (len(direction), 3))
-    return LineCloud(direction, moment, fields.take_rgb(len(direction)), str(fields.take("scheme", "U", ())))
+    return LineCloud(direction, moment, fields.take_rgb(len(direction)), fields.take_text("scheme"))
 
 
 def _npz_bytes(cloud: LineCloud) -> bytes:
@@ -134,6 +134,8 @@ def _through_segments(
     path: str | PathLike[str], vertex: np.ndarray, ends: Int[np.ndarray, "lines 2"], rgb: np.ndarray | None
 ) -> LineCloud:
     outside = (ends < 0) | (ends >= len(vertex))
+    if len(ends) and not len(vertex):
+        raise InputError(f"{path} has lines and no vertices; expected both")
     if outside.any():
         wrong = int(ends[outside][0])
         raise InputError(f"{path} has a line to vertex {wrong}; expected 0 to {len(vertex) - 1}, counted from 0")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import warnings
 import zipfile
 from collections.abc import Iterable
@@ -12,6 +13,9 @@ from typing import Any
 import numpy as np
 
 from l2p.errors import InputError
+
+#: Bytes that a compressed byte can become at most: what zlib says of its own format.
+_MOST_INFLATED = 1032
 
 
 def npz_bytes(arrays: dict[str, Any]) -> bytes:
@@ -48,14 +52,32 @@ def read_npz(path: str | PathLike[str], names: Iterable[str]) -> dict[str, np.nd
     with open(path, "rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of headers that Python 2 wrote
         try:
-            with np.load(file, allow_pickle=False) as archive:
-                return {name: np.asarray(archive[name]) for name in names if name in archive}
+            with zipfile.ZipFile(file) as archive:
+                members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+                return {name: _read_array(path, archive, members[name]) for name in names if name in members}
+        except InputError:
+            raise
         except Exception as error:  # numpy and zipfile raise many types on damaged bytes
-            if "allow_pickle" in str(error):
-                raise InputError(
-                    f"{path} holds Python objects, which l2p never loads; expected plain arrays"
-                ) from error
             raise _damaged(path) from error
+
+
+def _read_array(path: str | PathLike[str], archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
+    """One array; nothing is allocated that its header claims and the bytes of the file cannot hold."""
+    most = {zipfile.ZIP_STORED: info.compress_size, zipfile.ZIP_DEFLATED: _MOST_INFLATED * info.compress_size}
+    with archive.open(info) as member:
+        version = np.lib.format.read_magic(member)
+        read_header = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }[version]
+        shape, _, dtype = read_header(member)
+        if dtype.hasobject:
+            raise InputError(f"{path} holds Python objects, which l2p never loads; expected plain arrays")
+        whole = member.tell() + math.prod(shape) * dtype.itemsize == info.file_size
+    if not whole or info.file_size > most[info.compress_type]:
+        raise _damaged(path)
+    with archive.open(info) as member:
+        return np.lib.format.read_array(member, allow_pickle=False)
 
 
 def _damaged(path: str | PathLike[str]) -> InputError:
@@ -69,8 +91,10 @@ class Fields:
         self.path = path
         self._arrays = read_npz(path, names)
 
-    def take(self, name: str, kinds: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """The array ``name``, whose dtype kind is one of ``kinds``; None in ``shape`` is any length."""
+    def take(
+        self, name: str, kinds: str, shape: tuple[int | None, ...], dtype: type[np.generic] | None = None
+    ) -> np.ndarray:
+        """The array ``name``, whose dtype kind is one of ``kinds``, as ``dtype``; None in ``shape`` is any length."""
         if name not in self._arrays:
             raise InputError(f"{self.path} has no {name}; expected an array of shape {_shown(shape)}")
         array = self._arrays[name]
@@ -80,11 +104,33 @@ class Fields:
             want not in (None, got) for got, want in zip(array.shape, shape, strict=True)
         ):
             raise InputError(f"{self.path} has {name} of shape {array.shape}; expected {_shown(shape)}")
-        return array
+        if dtype is None:
+            return array
+        with np.errstate(over="ignore", invalid="ignore"):  # a number that is too large becomes infinite
+            cast = array.astype(dtype)
+        if cast.dtype.kind == "i" and not np.array_equal(cast, array):
+            raise InputError(f"{self.path} has {name} beyond those of {cast.dtype}; expected smaller numbers")
+        return cast
 
-    def take_optional(self, name: str, kinds: str, shape: tuple[int | None, ...]) -> np.ndarray | None:
+    def take_optional(
+        self, name: str, kinds: str, shape: tuple[int | None, ...], dtype: type[np.generic] | None = None
+    ) -> np.ndarray | None:
         """The array ``name`` if the file has it."""
-        return self.take(name, kinds, shape) if name in self._arrays else None
+        return self.take(name, kinds, shape, dtype) if name in self._arrays else None
+
+    def take_text(self, name: str) -> str:
+        """The string ``name``."""
+        array = self.take(name, "U", ())
+        try:
+            text = str(array.item())
+            text.encode("utf-8")  # half of a surrogate pair is no text
+        except ValueError as error:
+            raise InputError(f"{self.path} has a {name} that is no text; write the file again") from error
+        return text
+
+    def take_optional_text(self, name: str) -> str | None:
+        """The string ``name`` if the file has it."""
+        return self.take_text(name) if name in self._arrays else None
 
     def take_rgb(self, rows: int) -> np.ndarray | None:
         """The colours, uint8, if the file has them."""

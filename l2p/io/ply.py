@@ -19,12 +19,42 @@ def ply_elements(path: str | PathLike[str]) -> dict[str, np.ndarray]:
     from plyfile import PlyData
 
     content = Path(path).read_bytes()
+    _check_counts(path, content)
     try:
         # From memory: plyfile leaves the handle of an ascii file open, and would map a binary one.
         return {element.name: element.data for element in PlyData.read(io.BytesIO(content)).elements}
     except Exception as error:  # plyfile and numpy raise many types on damaged bytes
         reason = " ".join(str(error).split())[:120]
         raise InputError(f"{path} is truncated or damaged; expected a complete PLY file ({reason})") from error
+
+
+def _check_counts(path: str | PathLike[str], content: bytes) -> None:
+    """Refuse a header that claims more than there are bytes for: plyfile allocates, and counts to, what it claims."""
+    newline = b"\r\n" if content[3:5] == b"\r\n" else content[3:4]
+    header, end, body = content.partition(newline + b"end_header" + newline)
+    if not newline or not end:
+        return  # plyfile says what is wrong with it
+    needed = rows = properties = 0
+    for line in [*header.decode("latin-1").split(newline.decode("latin-1")), "element end 0"]:
+        words = line.split()
+        if words[:1] == ["property"]:
+            properties += 1
+        elif words[:1] == ["element"]:
+            # Every property, or the end of the row, takes a byte at least; the file may end without that of the last.
+            needed += rows * max(properties, 1)
+            rows, properties = _count(words[-1]), 0
+    if needed > len(body) + 1:
+        raise InputError(
+            f"{path} is truncated or damaged: it says that it has {needed} numbers or more, in {len(body)} bytes; "
+            "expected a complete PLY file"
+        )
+
+
+def _count(word: str) -> int:
+    try:
+        return max(int(word), 0)
+    except ValueError:
+        return 0
 
 
 def ply_columns(path: str | PathLike[str], element: np.ndarray, names: tuple[str, ...]) -> np.ndarray:

@@ -15,6 +15,7 @@ from l2p.io.atomic import atomic_file
 from l2p.io.kinds import Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, point_records
+from l2p.lines import OUT_OF_RANGE, in_range
 from l2p.recovery import Recovery
 
 #: Version of the npz recovery that is written; older ones stay readable.
@@ -56,18 +57,17 @@ def load_recovery(path: str | PathLike[str]) -> Recovery:
         raise InputError(f"{path} is {kind.value}; expected a recovery npz (l2p recover -o OUT.npz){hint}")
     fields = Fields(path, _NAMES)
     fields.take_version(RECOVERY_VERSION)
-    xyz = fields.take("xyz", "fiu", (None, 3)).astype(np.float64)
+    xyz = fields.take("xyz", "fiu", (None, 3), np.float64)
     rows = len(xyz)
-    neighbors = fields.take_optional("neighbors", "iu", (rows, None))
+    neighbors = fields.take_optional("neighbors", "iu", (rows, None), np.int64)
     width = None if neighbors is None else neighbors.shape[1]
-    affinity = fields.take_optional("affinity", "fiu", (rows, width))
     recovery = Recovery(
         xyz=xyz,
-        confidence=fields.take("confidence", "fiu", (rows,)).astype(np.float32),
-        beta=fields.take("beta", "fiu", (rows,)).astype(np.float64),
+        confidence=fields.take("confidence", "fiu", (rows,), np.float32),
+        beta=fields.take("beta", "fiu", (rows,), np.float64),
         rgb=fields.take_rgb(rows),
-        neighbors=None if neighbors is None else neighbors.astype(np.int64),
-        affinity=None if affinity is None else affinity.astype(np.float32),
+        neighbors=neighbors,
+        affinity=fields.take_optional("affinity", "fiu", (rows, width), np.float32),
         kept=fields.take_optional("kept", "b", (rows,)),
         info=_info(path, fields),
     )
@@ -107,10 +107,10 @@ def _ply_bytes(recovery: Recovery) -> bytes:
 
 
 def _info(path: str | PathLike[str], fields: Fields) -> dict[str, Any]:
-    text = fields.take_optional("info", "U", ())
+    text = fields.take_optional_text("info")
     try:
-        info = {} if text is None else json.loads(str(text))
-    except ValueError as error:
+        info = {} if text is None else json.loads(text)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path} has info that is not JSON; write the file again") from error
     if not isinstance(info, dict):
         raise InputError(f"{path} has info that is a {type(info).__name__}; expected a JSON object")
@@ -120,7 +120,12 @@ def _info(path: str | PathLike[str], fields: Fields) -> dict[str, Any]:
 def _check_numbers(path: str | PathLike[str], recovery: Recovery) -> None:
     if len(recovery) == 0:
         raise InputError(f"{path} has no points; expected at least one")
-    if not (np.isfinite(recovery.xyz).all() and np.isfinite(recovery.beta).all()):
-        raise InputError(f"{path} has points that are NaN or infinite; expected one finite point on each line")
+    if not (in_range(recovery.xyz).all() and in_range(recovery.beta).all()):
+        raise InputError(f"{path} has points that are {OUT_OF_RANGE}; expected one finite point on each line")
     if not ((recovery.confidence >= 0) & (recovery.confidence <= 1)).all():
         raise InputError(f"{path} has confidences outside [0, 1]; expected a probability for each line")
+    neighbors, affinity = recovery.neighbors, recovery.affinity
+    if neighbors is not None and not ((neighbors >= -1) & (neighbors < len(recovery))).all():
+        raise InputError(f"{path} has neighbors outside -1 to {len(recovery) - 1}; expected rows of the lines, or -1")
+    if affinity is not None and not ((affinity >= 0) & (affinity < np.inf)).all():
+        raise InputError(f"{path} has affinities that are negative or not finite; expected a weight for each neighbour")

@@ -12,6 +12,7 @@ from l2p.io.colmap import read_model, scene_of_model
 from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb, point_records
+from l2p.lines import OUT_OF_RANGE, in_range
 from l2p.scene import Scene, Truth
 
 #: Version of the truth file that is written.
@@ -37,7 +38,9 @@ def load_scene(path: str | PathLike[str]) -> Scene:
         scene = _read_ply(path) if kind is Kind.SCENE_PLY else _read_npz(path)
     if len(scene) == 0:
         raise InputError(f"{path} has no points; expected at least one")
-    _refuse_infinite(path, scene.xyz)
+    _refuse_out_of_range(path, "points", scene.xyz)
+    if scene.camera_centers is not None:
+        _refuse_out_of_range(path, "camera centres", scene.camera_centers)
     return scene
 
 
@@ -54,18 +57,18 @@ def load_truth(path: str | PathLike[str]) -> Truth:
         raise InputError(f"{path} is {kind.value}; expected a truth npz (l2p lift --truth)")
     fields = Fields(path, ("xyz", "index", "spacing", "ids", "seed", "version"))
     fields.take_version(TRUTH_VERSION)
-    xyz = fields.take("xyz", "fiu", (None, 3)).astype(np.float64)
+    xyz = fields.take("xyz", "fiu", (None, 3), np.float64)
     rows = len(xyz)
-    _refuse_infinite(path, xyz)
+    _refuse_out_of_range(path, "points", xyz)
     seed = fields.take_optional("seed", "iu", ())
     spacing = float(fields.take("spacing", "fiu", ()))
     if not 0 < spacing < np.inf:
         raise InputError(f"{path} has spacing {spacing}; expected a length above 0")
     return Truth(
         xyz=xyz,
-        index=fields.take("index", "iu", (rows,)).astype(np.int64),
+        index=fields.take("index", "iu", (rows,), np.int64),
         spacing=spacing,
-        ids=_cast(fields.take_optional("ids", "iu", (rows,)), np.int64),
+        ids=fields.take_optional("ids", "iu", (rows,), np.int64),
         seed=None if seed is None else int(seed),
     )
 
@@ -99,29 +102,25 @@ def _read_ply(path: str | PathLike[str]) -> Scene:
 
 def _read_npz(path: str | PathLike[str]) -> Scene:
     fields = Fields(path, ("xyz", "rgb", "error", "track_length", "track_len", "ids", "camera_centers"))
-    xyz = fields.take("xyz", "fiu", (None, 3)).astype(np.float64)
+    xyz = fields.take("xyz", "fiu", (None, 3), np.float64)
     rows = len(xyz)
-    track_length = fields.take_optional("track_length", "iu", (rows,))
+    track_length = fields.take_optional("track_length", "iu", (rows,), np.int32)
     if track_length is None:
-        track_length = fields.take_optional("track_len", "iu", (rows,))
+        track_length = fields.take_optional("track_len", "iu", (rows,), np.int32)
     return Scene(
         xyz=xyz,
         rgb=fields.take_rgb(rows),
-        error=_cast(fields.take_optional("error", "fiu", (rows,)), np.float32),
-        track_length=_cast(track_length, np.int32),
-        ids=_cast(fields.take_optional("ids", "iu", (rows,)), np.int64),
-        camera_centers=_cast(fields.take_optional("camera_centers", "fiu", (None, 3)), np.float64),
+        error=fields.take_optional("error", "fiu", (rows,), np.float32),
+        track_length=track_length,
+        ids=fields.take_optional("ids", "iu", (rows,), np.int64),
+        camera_centers=fields.take_optional("camera_centers", "fiu", (None, 3), np.float64),
     )
 
 
-def _cast(array: np.ndarray | None, dtype: type[np.generic]) -> np.ndarray | None:
-    return None if array is None else array.astype(dtype)
-
-
-def _refuse_infinite(path: str | PathLike[str], xyz: np.ndarray) -> None:
-    bad = ~np.isfinite(xyz).all(axis=1)
+def _refuse_out_of_range(path: str | PathLike[str], what: str, xyz: np.ndarray) -> None:
+    bad = ~in_range(xyz).all(axis=1)
     if bad.any():
         raise InputError(
-            f"{path} has {int(bad.sum())} of {len(xyz)} points that are NaN or infinite, first at row "
+            f"{path} has {int(bad.sum())} of {len(xyz)} {what} that are {OUT_OF_RANGE}, first at row "
             f"{int(np.argmax(bad))}; remove them"
         )

@@ -16,12 +16,14 @@ from l2p.simulator.observe import Observer, Sightings
 from l2p.simulator.texture import texture_stage
 from l2p.simulator.triangulate import Tracks, triangulate
 
-__all__ = ["KINDS", "MIN_POINTS", "SimulatedModel", "simulate", "simulate_model"]
+__all__ = ["KINDS", "MAX_POINTS", "MIN_POINTS", "SimulatedModel", "simulate", "simulate_model"]
 
 #: Kinds of scene.
 KINDS = tuple(LAYOUTS)
 #: Fewest points that still make a scene.
 MIN_POINTS = 100
+#: Most points; time and memory are linear in them.
+MAX_POINTS = 10_000_000
 #: Candidates drawn at once, which bounds memory (about 150 MB).
 BATCH = 10_000
 #: Batches without enough points before the search is given up; layouts keep far from it.
@@ -35,7 +37,7 @@ def simulate(kind: str = "room", points: int = 20_000, seed: int = 0) -> Scene:
     ----------
     kind : {"room", "object", "facade", "street", "terrain"}
     points : int
-        Exact number of points, at least 100.
+        Exact number of points, at least 100 and at most 10 million.
     seed : int
         Layout, cameras, texture and noise follow from it; more ``points`` sample the same world more densely.
 
@@ -108,7 +110,10 @@ def _check(kind: object, points: object, seed: object) -> None:
     """Refuse arguments that make no scene."""
     if kind not in KINDS:
         raise InputError(f"got kind {kind!r}; expected one of {', '.join(KINDS)}")
-    if isinstance(points, bool) or not isinstance(points, (int, np.integer)) or points < MIN_POINTS:
-        raise InputError(f"got {points!r} points; expected a whole number of at least {MIN_POINTS}")
+    whole = isinstance(points, (int, np.integer)) and not isinstance(points, bool)
+    if not whole or not MIN_POINTS <= points <= MAX_POINTS:  # type: ignore[operator]
+        raise InputError(
+            f"got {points!r} points; expected a whole number of at least {MIN_POINTS}, at most {MAX_POINTS}"
+        )
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"got seed {seed!r}; expected a whole number of at least 0")

@@ -82,7 +82,7 @@ def test_colours_of_confidence_get_lighter():
     ("changes", "message"),
     [
         ({"version": np.array(9)}, "version 9"),
-        ({"xyz": np.full((12, 3), np.nan)}, "points that are NaN or infinite"),
+        ({"xyz": np.full((12, 3), np.nan)}, "points that are NaN, infinite or beyond 1e30"),
         ({"beta": np.zeros(5)}, r"beta of shape \(5,\); expected \(12\)"),
         ({"confidence": np.full(12, 1.5)}, r"confidences outside \[0, 1\]"),
         ({"confidence": np.full(12, np.nan)}, r"confidences outside \[0, 1\]"),

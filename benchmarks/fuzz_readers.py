@@ -1,0 +1,395 @@
+"""Do the readers survive any bytes? Valid files of every format are damaged, and read, until the time is over.
+
+    python benchmarks/fuzz_readers.py --minutes 60
+
+A reader gives an object or raises InputError; anything else is a finding, and so are a death of the process, more than
+20 seconds, or more memory than 100 MB and 20 times the file. Each kind of finding is saved once, to
+``--findings/NAME/``, with the files that show it and ``error.txt``; the exit code is 1 if there are any. Time is spent
+on all formats in turn, in a process of its own, which is replaced when it dies.
+
+With ``--engine atheris`` the damage is guided by coverage instead (libFuzzer), for the binary formats of one file. It
+needs the package atheris, which is no dependency of the project: make an environment for it and lend it the packages
+of this one,
+
+    python -m venv /tmp/atheris && /tmp/atheris/bin/pip install atheris
+    PYTHONPATH=.:.venv/lib/python3.11/site-packages /tmp/atheris/bin/python benchmarks/fuzz_readers.py --engine atheris
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import inspect
+import io
+import os
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import tracemalloc
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import torch
+
+from l2p import checkpoint, exhibit, tables
+from l2p.errors import InputError
+from l2p.io import kinds, line_files, npz, ply, recovery_files, scene_files
+from l2p.lifting import lift
+from l2p.recovery import Recovery
+from l2p.scene import Scene, Truth
+
+#: Every way in; each is tried on every file.
+READERS: tuple[Callable[[Path], Any], ...] = (
+    line_files.load_lines,
+    scene_files.load_scene,
+    scene_files.load_truth,
+    recovery_files.load_recovery,
+    checkpoint.read,
+    exhibit.Exhibit.load,
+    tables.print_info,
+)
+#: What a file may cost: seconds, and bytes beside a multiple of its own.
+SECONDS, BYTES, TIMES = 20, 100 << 20, 20
+#: Address space beyond that of an idle process; what is not allocated by Python meets this limit.
+SPACE = 4 << 30
+#: Rows of the valid files.
+ROWS = 6
+
+
+@dataclass(frozen=True)
+class Valid:
+    """A valid file, or the files of a folder, by name."""
+
+    name: str
+    files: dict[str, bytes]
+
+    def write(self, folder: Path, file: str, content: bytes) -> Path:
+        """The file or folder to read, with other content in one of its files."""
+        place = folder / self.name
+        if len(self.files) == 1:
+            place.write_bytes(content)
+            return place
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir()
+        for name, own in self.files.items():
+            (place / name).write_bytes(content if name == file else own)
+        return place
+
+
+def valid_files() -> list[Valid]:
+    """One of every format, with everything in it that it can hold."""
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        for write in (_write_lines, _write_points, _write_checkpoint, _write_models):
+            write(root)
+        return [
+            Valid(path.name, {file.name: file.read_bytes() for file in (sorted(path.iterdir()) or [])})
+            if path.is_dir()
+            else Valid(path.name, {path.name: path.read_bytes()})
+            for path in sorted(root.iterdir())
+        ]
+
+
+def _points() -> tuple[np.random.Generator, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    return rng, rng.normal(size=(ROWS, 3)), rng.integers(0, 256, (ROWS, 3), dtype=np.uint8)
+
+
+def _write_lines(root: Path) -> None:
+    _, points, rgb = _points()
+    lines = lift(points, seed=0, rgb=rgb)
+    for ending in ("npz", "ply", "obj"):
+        line_files.save_lines(lines, root / f"lines.{ending}")
+    rows = "".join(" ".join(map(repr, row)) + "\n" for row in np.hstack([points, lines.direction]).tolist())
+    (root / "lines.txt").write_text("# x y z dx dy dz\n" + rows)
+    (root / "lines-ascii.ply").write_text(
+        "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 2\nproperty float x\nproperty float y\n"
+        "property float z\nelement edge 1\nproperty list uchar int other\nproperty int vertex1\nproperty int vertex2\n"
+        "end_header\n0 0 0\n1 1 1\n1 7 0 1\n"
+    )
+
+
+def _write_points(root: Path) -> None:
+    rng, points, rgb = _points()
+    scene_files.save_scene_ply(Scene(points, rgb), root / "scene.ply")
+    np.savez_compressed(
+        root / "scene.npz",
+        xyz=points,
+        rgb=rgb,
+        error=rng.random(ROWS),
+        track_length=np.arange(ROWS),
+        ids=np.arange(ROWS),
+        camera_centers=points[:2],
+    )
+    scene_files.save_truth(Truth(points, np.arange(ROWS), 1.0, np.arange(ROWS), 3), root / "truth.npz")
+    recovery = Recovery(
+        points,
+        rng.random(ROWS).astype(np.float32),
+        rng.normal(size=ROWS),
+        rgb,
+        neighbors=rng.integers(-1, ROWS, (ROWS, 2)),
+        affinity=rng.random((ROWS, 2)).astype(np.float32),
+        kept=rng.random(ROWS) < 0.5,
+        info={"method": "learned", "settings": {"rounds": 2, "checkpoint": "a.safetensors"}},
+    )
+    recovery_files.save_recovery(recovery, root / "recovery.npz")
+
+
+def _write_checkpoint(root: Path) -> None:
+    from l2p.learned import LearnedConfig
+    from l2p.network import RADII, LineTransformer, NetworkConfig
+
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        network = LineTransformer(NetworkConfig(width=2, layers=1, heads=1))
+    result = {"scene": "room", "fraction": 0.5, "lines": 9, "median": [0.4], "within": [0.6]}
+    facts = {"commit": "0123abcd", "seed": 1, "steps": 3, "minutes": 1.5, "scenes": ["room"], "results": [result]}
+    whole = checkpoint.Checkpoint(network, LearnedConfig(rounds=1, candidates=4), [[(1.0, 0.0)] * len(RADII)], facts)
+    checkpoint.save(root / "model.safetensors", whole)
+
+
+def _write_models(root: Path) -> None:
+    import pycolmap
+
+    pycolmap.set_random_seed(0)
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_points3D, options.num_frames_per_rig, options.track_length = ROWS, 2, 2
+    model = pycolmap.synthesize_dataset(options)
+    for name, write in (("model-bin", model.write_binary), ("model-txt", model.write_text)):
+        (root / name).mkdir()
+        write(str(root / name))
+
+
+def read_all(path: Path) -> None:
+    """Try every reader; a sentence is an answer, and what is printed is of no interest."""
+    for reader in READERS:
+        with contextlib.suppress(InputError), contextlib.redirect_stdout(io.StringIO()):
+            reader(path)
+
+
+def damaged(content: bytes, chance: random.Random) -> bytes:
+    """The content after one to four accidents."""
+    found = bytearray(content)
+    for _ in range(chance.choice((1, 1, 2, 4))):
+        at, size = chance.randint(0, max(0, len(found) - 1)), chance.choice((1, 2, 4, 8, 40))
+        accident = chance.choice(ACCIDENTS)
+        accident(found, at, size, chance)
+    return bytes(found)
+
+
+def _flip(found: bytearray, at: int, size: int, chance: random.Random) -> None:
+    found[at : at + 1] = bytes(byte ^ (1 << chance.randrange(8)) for byte in found[at : at + 1])
+
+
+def _noise(found: bytearray, at: int, size: int, chance: random.Random) -> None:
+    found[at : at + size] = chance.randbytes(size)
+
+
+def _extreme(found: bytearray, at: int, size: int, chance: random.Random) -> None:
+    """A number that lies on an edge: as bytes of either order, or as a word."""
+    number = chance.choice((0, 1, 2**31, 2**32 - 1, 2**40, 2**63, 2**64 - 1))
+    word = chance.choice(("nan", "inf", "-1", "1e999", "[", '"', "\n", " ", str(number))).encode()
+    order = chance.choice(("little", "big"))
+    found[at : at + size] = chance.choice((word, (number % 2 ** (8 * size)).to_bytes(size, order)))
+
+
+def _cut(found: bytearray, at: int, size: int, chance: random.Random) -> None:
+    del found[at : at + size]
+
+
+def _double(found: bytearray, at: int, size: int, chance: random.Random) -> None:
+    found[at:at] = found[at : at + size] * chance.choice((1, 1, 50))
+
+
+def _insert(found: bytearray, at: int, size: int, chance: random.Random) -> None:
+    found[at:at] = chance.randbytes(size)
+
+
+def _end(found: bytearray, at: int, size: int, chance: random.Random) -> None:
+    del found[at:]
+
+
+ACCIDENTS = (_flip, _noise, _extreme, _extreme, _cut, _double, _insert, _end)
+
+
+def accidents(files: list[Valid], chance: random.Random) -> Iterator[tuple[Valid, str, bytes]]:
+    """Endless cases, all formats in turn: the valid file, which of its files is damaged, and how that looks."""
+    while True:
+        for valid in files:
+            name = chance.choice(sorted(valid.files))
+            content = damaged(valid.files[name], chance)
+            yield valid, name, content if chance.random() < 0.5 else repaired(valid.name, content)
+
+
+def repaired(name: str, content: bytes) -> bytes:
+    """An npz whose checksums are right, so that damage comes through to the arrays; anything else as it is."""
+    if not name.endswith(".npz"):
+        return content
+    out = io.BytesIO()
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive, zipfile.ZipFile(out, "w") as again:
+            for info in archive.infolist():
+                with archive.open(info) as member:
+                    member._expected_crc = None  # type: ignore[attr-defined]
+                    again.writestr(info.filename, member.read(1 << 20))
+    except Exception:  # too much is damaged
+        return content
+    return out.getvalue()
+
+
+def try_one(path: Path, size: int) -> str | None:
+    """Read a damaged file; what is wrong with how that went, if anything."""
+    tracemalloc.reset_peak()
+    before = tracemalloc.get_traced_memory()[0]
+    signal.setitimer(signal.ITIMER_REAL, SECONDS)  # ends the process
+    try:
+        read_all(path)
+    except Exception:
+        return traceback.format_exc()
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+    taken = tracemalloc.get_traced_memory()[1] - before
+    return f"{taken} bytes of memory for {size} bytes" if taken > BYTES + TIMES * size else None
+
+
+def save_finding(findings: Path, case: Path, error: str) -> None:
+    """Keep the files that show it; once for each place in the code, or sentence."""
+    last = [line.strip() for line in error.splitlines() if line.strip().startswith("File ")][-1:]
+    where = hashlib.sha256("".join([*last, error.splitlines()[-1][:30]]).encode()).hexdigest()[:12]
+    place = findings / f"{case.name}-{where}"
+    if place.exists():
+        return
+    place.mkdir(parents=True)
+    shutil.copytree(case, place / case.name) if case.is_dir() else shutil.copy(case, place)
+    (place / "error.txt").write_text(error)
+    print(f"{place}: {error.splitlines()[-1]}", flush=True)
+
+
+def work(files: list[Valid], findings: Path, desk: Path, number: int, until: float) -> None:
+    """What a process does: one case after the other, each on the desk while it is read."""
+    limit = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() + SPACE
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    tracemalloc.start()
+    cases = 0
+    for valid, name, content in accidents(files, random.Random(number)):
+        if time.monotonic() > until:
+            break
+        path = valid.write(desk, name, content)
+        error = try_one(path, len(content))
+        if error is not None:
+            save_finding(findings, path, error)
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+        cases += 1
+    print(f"{cases} cases", flush=True)
+
+
+def fuzz(files: list[Valid], findings: Path, minutes: float, seed: int) -> None:
+    """Let processes work until the time is over; what ends one is a finding."""
+    until = time.monotonic() + 60 * minutes
+    with tempfile.TemporaryDirectory(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None) as folder:
+        while time.monotonic() < until:
+            sys.stdout.flush()
+            process = os.fork()
+            if process == 0:
+                work(files, findings, Path(folder), seed, until)
+                os._exit(0)
+            code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+            for path in Path(folder).iterdir():  # what it was at when it died
+                save_finding(
+                    findings, path, f"the process ended with {signal.Signals(-code).name if code < 0 else code}"
+                )
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+            seed += 1
+
+
+def fuzz_guided(files: list[Valid], findings: Path, minutes: float, seed: int) -> None:
+    """The same with atheris, one binary format after the other; libFuzzer saves the first finding of each."""
+    binary = [valid for valid in files if len(valid.files) == 1 and b"\0" in valid.files[valid.name]]
+    for valid in binary:
+        sys.stdout.flush()
+        process = os.fork()
+        if process == 0:
+            _guided(valid, findings, 60 * minutes / len(binary), seed)
+        os.waitpid(process, 0)
+
+
+def _guided(valid: Valid, findings: Path, seconds: float, seed: int) -> None:
+    import atheris
+
+    for module in (checkpoint, kinds, line_files, npz, ply, recovery_files, scene_files, zipfile, _module("plyfile")):
+        for function in _functions(module):
+            atheris.instrument_func(function)  # type: ignore[attr-defined]
+    corpus = Path(tempfile.mkdtemp())
+    (corpus / "valid").write_bytes(valid.files[valid.name])
+    desk = Path(tempfile.mkdtemp(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None))
+
+    def one(content: bytes) -> None:
+        (desk / valid.name).write_bytes(content)
+        read_all(desk / valid.name)
+
+    findings.mkdir(parents=True, exist_ok=True)
+    flags = {
+        "max_total_time": int(seconds),
+        "timeout": SECONDS,
+        "rss_limit_mb": 4096,
+        "malloc_limit_mb": 1024,
+        "max_len": 1 << 16,
+        "seed": seed + 1,
+        "print_final_stats": 1,
+        "artifact_prefix": f"{findings}/{valid.name}-",
+    }
+    atheris.Setup([sys.argv[0], *(f"-{name}={value}" for name, value in flags.items()), str(corpus)], one)
+    atheris.Fuzz()
+
+
+def _module(name: str) -> ModuleType:
+    return __import__(name)
+
+
+def _functions(module: ModuleType) -> Iterator[Any]:
+    """The functions and methods that a module defines."""
+    for value in vars(module).values():
+        if inspect.isfunction(value) and value.__module__ == module.__name__:
+            yield value
+        elif inspect.isclass(value) and value.__module__ == module.__name__:
+            yield from (method for method in vars(value).values() if inspect.isfunction(method))
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=60, help="(default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the first process (default: %(default)s)")
+    parser.add_argument("--engine", choices=("own", "atheris"), default="own", help="(default: %(default)s)")
+    parser.add_argument(
+        "--findings", type=Path, default=Path("build/fuzz"), help="folder to save them to (default: %(default)s)"
+    )
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Fuzz; 1 if something was found."""
+    given = arguments()
+    torch.set_num_threads(1)
+    {"own": fuzz, "atheris": fuzz_guided}[given.engine](valid_files(), given.findings, given.minutes, given.seed)
+    found = sorted(given.findings.iterdir()) if given.findings.is_dir() else []
+    print(f"{len(found)} findings in {given.findings}")
+    return int(bool(found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
