@@ -22,6 +22,8 @@ from omegaconf.errors import OmegaConfBaseException
 from l2p import checkpoint
 from l2p.attack import run
 from l2p.errors import InputError
+from l2p.io.kinds import Kind, kind_of
+from l2p.io.scene_files import load_scene
 from l2p.lines import LineCloud, finite_rows
 from l2p.neighborhoods import Heuristic, HeuristicConfig, Method, TomographicConfig, Tomography
 from l2p.oracles import CandidateOracle, LeaveOneOut, Oracle
@@ -231,7 +233,8 @@ class CallContender:
 
 @dataclass(frozen=True)
 class FolderContender:
-    """Recoveries made elsewhere: ``FOLDER/SCENE_PERCENT_SEED.npz`` of lines by ``l2p lift --fraction F --seed S``."""
+    """Recoveries, or bare points in the order of the lines, made elsewhere: ``FOLDER/SCENE_PERCENT_SEED.npz`` of lines
+    by ``l2p lift --fraction F --seed S``."""
 
     path: str
     label: str = ""
@@ -243,8 +246,10 @@ class FolderContender:
         _default_label(self, Path(self.path).name)
 
     def recover(self, trial: Trial) -> Recovery:
-        """Read it."""
-        return as_recovery(Recovery.load(self._file(trial.key)), trial.lines, self.path)
+        """Read it; of a file with nothing but points, these, all with the same confidence."""
+        file = self._file(trial.key)
+        bare = kind_of(file) is Kind.SCENE_NPZ
+        return as_recovery(load_scene(file).xyz if bare else Recovery.load(file), trial.lines, str(file))
 
     def files(self, cloud: str) -> dict[str, str]:
         """The recovery's digest."""

@@ -18,6 +18,7 @@ class Scene:
     xyz : (points, 3) float64
         Points in scene units (metres only if the model is metric).
     rgb : (points, 3) uint8 or None
+        Colours of the points.
     error : (points,) float32 or None
         Mean reprojection error in pixels.
     track_length : (points,) int32 or None
@@ -25,6 +26,7 @@ class Scene:
     ids : (points,) int64 or None
         The identifiers of the source (COLMAP ``point3D_id``).
     camera_centers : (cameras, 3) float64 or None
+        Scene units; the cameras that see the points.
     """
 
     xyz: Float[np.ndarray, "points 3"]

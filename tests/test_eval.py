@@ -235,6 +235,12 @@ def test_a_users_points_and_recoveries_are_scored(tmp_path: Path, plugin: Callab
     assert rows[0]["median"] == rows[1]["median"]
     assert float(rows[0]["seconds"]) > 0 and rows[1]["seconds"] == "", "the time of reading is not that of the method"
     assert rows[0]["neighbor_precision"] == "" and rows[0]["confidence_auc"] == "", "nothing is made up"
+    lines, _ = l2p.lift_indexed(l2p.simulate("room", 120, 0).xyz, 0)
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    np.savez(bare / "sim-room-120-0_100_0.npz", xyz=lines.at(np.full(len(lines), 0.5)))
+    assert run(tmp_path / "other", f"methods=[{{name: folder, path: {bare}}}]", "fractions=[1.0]") == 0
+    assert rows_of(tmp_path / "other")[0]["median"] == rows[0]["median"], "points alone are enough"
     (folder / "sim-room-120-0_50_0.npz").write_bytes((folder / "sim-room-120-0_100_0.npz").read_bytes())
     with pytest.raises(InputError, match=r"_50_0_elsewhere.npz was made with method .*'digest': "):
         run(tmp_path / "run", f"methods=[{call}, {{name: folder, path: {folder}}}]")

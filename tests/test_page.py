@@ -128,6 +128,7 @@ def test_true_points_lines_and_recovered_points_are_three_pictures(opened):
         pictures.append(opened.picture())
     assert not any(same(a, b) for a, b in ((pictures[0], pictures[1]), (pictures[1], pictures[2])))
     assert opened.page.locator("#floor").is_disabled(), "lines and true points have no confidence"
+    assert opened.page.locator("#size").is_disabled(), "nor have lines a size"
 
 
 def test_the_share_that_is_published_can_be_chosen(opened):
@@ -214,6 +215,7 @@ def test_lines_that_pass_by_are_counted(browser, tmp_path, rng):
     path.write_bytes(view_page(Exhibit(lines=lines), "lines", "something"))
     shown = Opened(browser, path)
     assert shown.text() == "61 lines. Left out of the picture: 1, far from the others."
+    assert not shown.page.locator("#size").is_visible()
     shown.context.close()
 
 

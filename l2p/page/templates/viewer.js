@@ -177,6 +177,7 @@ function say() {
   const least = Math.min(floor, top);
   find("floor-value").textContent = cloud.calibrated ? percent(least, data.levels) : (least / 100).toFixed(2);
   find("floor").disabled = find("color").disabled = layer !== "recovered";
+  find("size").disabled = layer === "lines";
   const thinned = cloud.shown < cloud.count ? ` The picture shows ${number(cloud.shown)} of all, drawn at random.` : "";
   let text = `${number(cloud.count)} points.`;
   if (layer === "lines") {
