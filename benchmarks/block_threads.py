@@ -1,4 +1,4 @@
-"""One round of the learned attack on two cores: torch's own threads in every operation, or blocks of lines side by side.
+"""One round of the learned attack on two cores: torch's own threads in each operation, or blocks of lines side by side.
 
     python benchmarks/block_threads.py --lines 6000
 
