@@ -72,7 +72,7 @@ def draw(lines: Lines, truth: np.ndarray, path: Path) -> None:
         last.scatter(truth[:, across], truth[:, up], s=0.15, c="black", linewidths=0)
         last.set(xlim=extent[:2], ylim=extent[2:], aspect="equal")
         last.set_title("true points" if row == 0 else "", fontsize=9)
-        panels[row, 0].set_ylabel(("above", "side")[row], fontsize=9)
+        panels[row, 0].set_ylabel(("one side", "another side")[row], fontsize=9)
     for panel in panels.flat:
         panel.set(xticks=[], yticks=[])
     figure.tight_layout(pad=0.4)
@@ -91,7 +91,7 @@ def main() -> None:
     cloud = l2p.lift(xyz, seed=0)
     frame = Frame.of(cloud)
     with torch.inference_mode():
-        draw(frame.enter(cloud), (xyz - frame.center) / frame.unit, given.output)
+        draw(frame.enter(cloud), frame.enter_points(xyz).numpy(), given.output)
 
 
 if __name__ == "__main__":

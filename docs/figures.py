@@ -235,8 +235,10 @@ def draw_tomography(room: Room) -> None:
     """The room from above: what the lines cover, what tomography makes of it, what is there."""
     posterior = reconstruct(room.inside)
     beta, weight = posterior.beta, posterior.probability
-    at = room.inside.foot[:, None] + beta[:, :, None] * room.inside.direction[:, None]
-    even = room.inside.foot[:, None] + torch.linspace(-6, 6, 1200)[None, :, None] * room.inside.direction[:, None]
+    upright = torch.as_tensor(room.frame.axes.T, dtype=beta.dtype)  # from the axes of the lines to those of the room
+    direction, foot = room.inside.direction[:, None] @ upright, room.inside.foot[:, None] @ upright
+    at = foot + beta[:, :, None] * direction
+    even = foot + torch.linspace(-6, 6, 1200)[None, :, None] * direction
     box = Box.of_room(room.scene)
     low, high = ((corner - room.frame.center) / room.frame.unit for corner in (box.low, box.high))
     edges = [np.arange(a - 0.1, b + 0.1, 0.25 * room.unit) for a, b in zip(low[:2], high[:2], strict=True)]
@@ -244,7 +246,7 @@ def draw_tomography(room: Room) -> None:
     clouds = (
         ("lines: mass spread evenly", even.reshape(-1, 3).numpy(), None),
         ("tomography: mass where the lines agree", at.reshape(-1, 3).numpy(), weight.flatten().numpy()),
-        ("the points", room.points.numpy(), None),
+        ("the points", (room.points @ upright).numpy(), None),
     )
     for panel, (title, points, mass) in zip(panels, clouds, strict=True):
         image = np.histogram2d(points[:, 0], points[:, 1], bins=edges, weights=mass)[0]

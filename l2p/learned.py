@@ -20,7 +20,7 @@ from l2p.errors import InputError
 from l2p.features import STATE, Nodes, edges, surroundings
 from l2p.frame import Frame
 from l2p.geometry import Lines
-from l2p.neighborhoods import Estimate
+from l2p.neighborhoods import Estimate, in_own_order
 from l2p.network import NO_VOTE, NOTHING, RADII, Judgement, LineTransformer
 from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
@@ -178,6 +178,9 @@ class Learned:
 
     def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
         """Tomography, then the rounds; O(rounds x lines x k^2) besides the searches."""
+        return in_own_order(lines, lambda lines: self._judged(lines, progress))
+
+    def _judged(self, lines: Lines, progress: Progress) -> Estimate:
         network = self.network.to(lines.direction.device)
         posterior = reconstruct(lines, TomographyConfig(), progress)
         nodes = first_nodes(lines, posterior)

@@ -7,9 +7,11 @@ help to choose better neighbours. Neighbourhoods that know the answer are in :mo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -72,6 +74,25 @@ def vote(
     weight = _equal(lines, neighbors) if affinity is None else affinity
     beta = peaks(lines, neighbors, weight, peak, progress)
     return Estimate(beta, support(lines, neighbors, weight, beta), neighbors, weight)
+
+
+def own_order(lines: Lines) -> Int[Tensor, " lines"]:
+    """The lines sorted by their coordinates."""
+    key = torch.cat([lines.direction, lines.moment], dim=1).cpu().numpy()
+    return torch.as_tensor(np.lexsort(key.T), device=lines.direction.device)
+
+
+def in_own_order(lines: Lines, locate: Callable[[Lines], Estimate]) -> Estimate:
+    """What ``locate`` makes of the lines in an order that they decide themselves, in the order that they came in.
+
+    Sums, and choices between equals, depend on the order; see :mod:`l2p.frame`.
+    """
+    order = own_order(lines)
+    found = locate(lines.rows(order))
+    place = order.argsort()
+    near = found.neighbors[place]
+    named = order[near.clamp_min(0).long()].to(near.dtype).masked_fill(near < 0, -1)
+    return Estimate(found.beta[place], found.confidence[place], named, found.affinity[place])
 
 
 def _equal(lines: Lines, neighbors: Int[Tensor, "lines k"]) -> Float[Tensor, "lines k"]:
@@ -197,6 +218,9 @@ class Heuristic:
 
     def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
         """Coarse stage and refinements; O(rounds x lines^2) time, O(lines k) memory."""
+        return in_own_order(lines, lambda lines: self._refined(lines, progress))
+
+    def _refined(self, lines: Lines, progress: Progress) -> Estimate:
         nearest = nearest_lines_to_lines(lines, self.config.coarse, progress=progress)
         neighbors = nearest.index
         del nearest
@@ -255,6 +279,9 @@ class Tomography:
 
     def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
         """O(lines x segments) for the posterior, O(lines log lines) for the search of the voters."""
+        return in_own_order(lines, lambda lines: self._voted(lines, progress))
+
+    def _voted(self, lines: Lines, progress: Progress) -> Estimate:
         posterior = reconstruct(lines, self.config.tomography, progress)
         beta = modes(posterior)[0]
         near = nearest_points_to_points(lines.at(beta), self.config.nearest)

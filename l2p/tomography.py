@@ -85,10 +85,9 @@ class Posterior(NamedTuple):
 class Density(NamedTuple):
     """The reconstructed density: cells from the coarsest to the finest, and the mass in each of them.
 
-    ``axes`` turn the working frame into that of the grid, ``half`` is half the side of the box.
+    ``half`` is half the side of the box.
     """
 
-    axes: Float[Tensor, "3 3"]
     half: float
     cells: list[Cells]
     mass: list[Float[Tensor, " _"]]
@@ -96,7 +95,7 @@ class Density(NamedTuple):
     def log_at(self, points: Float[Tensor, "points 3"]) -> Float[Tensor, " points"]:
         """Logarithm of the mass per unit volume at points of the working frame, from the finest cell around each."""
         answer = points.new_full((len(points),), NOTHING)
-        scaled = (points @ self.axes + self.half) / (2 * self.half)
+        scaled = (points + self.half) / (2 * self.half)
         inside = ((scaled >= 0) & (scaled < 1)).all(dim=1)
         row = torch.zeros(len(points), dtype=torch.int32, device=points.device)
         for cells, mass in zip(self.cells, self.mass, strict=True):
@@ -127,7 +126,7 @@ def reconstruct(lines: Lines, config: TomographyConfig | None = None, progress: 
     Parameters
     ----------
     lines : Lines
-        In the working frame (centred; the unit does not matter).
+        In the working frame (:class:`l2p.frame.Frame`), along whose axes the grid lies; the unit does not matter.
     """
     return tomogram(lines, config, progress)[0]
 
@@ -137,8 +136,6 @@ def tomogram(
 ) -> tuple[Posterior, Density]:
     """The posterior of each line's point and the density that it follows from."""
     config = config or TomographyConfig()
-    axes = _own_axes(lines)
-    lines = Lines(lines.direction @ axes, lines.moment @ axes)
     half = _half_side(lines, config)
     level = _first_level(lines, half, config.start)
     density = level.beta.new_ones(config.start**3)
@@ -155,23 +152,7 @@ def tomogram(
     mass = [density]
     for coarse, fine in zip(level.cells[-2::-1], level.cells[:0:-1], strict=True):
         mass.insert(0, total(mass[0], fine, coarse))
-    return _answer(lines, half, level, density), Density(axes, half, level.cells, mass)
-
-
-def _own_axes(lines: Lines) -> Float[Tensor, "3 3"]:
-    """Axes of the lines' own, as columns, so that the grid turns with the scene.
-
-    Principal axes of the feet, far ones damped; each points to where the feet are skewed. The positions along the
-    lines are the same in both frames.
-    """
-    foot = lines.foot.double()
-    foot = foot / (1 + foot.square().sum(dim=1, keepdim=True)).sqrt()
-    axes = torch.linalg.eigh(foot.T @ foot).eigenvectors
-    skew = (foot @ axes).pow(3).sum(dim=0)
-    axes = axes * torch.where(skew < 0, -1.0, 1.0)
-    # A mirror image of the lines would have another moment; keep the axes right-handed.
-    axes[:, 2] *= torch.linalg.det(axes).sign()
-    return axes.to(lines.direction.dtype)
+    return _answer(lines, half, level, density), Density(half, level.cells, mass)
 
 
 def _half_side(lines: Lines, config: TomographyConfig) -> float:
