@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from l2p.geometry import PARALLEL, Lines
+from l2p.surfaces import Surface, crossing, fitted
 from l2p.threads import over_blocks
 from l2p.tomography import Posterior
 
@@ -49,26 +50,10 @@ FAMILIES = {
     "surface": _SURFACE,
     "wide_surface": _WIDE_SURFACE,
 }
-#: A line nearer to parallel with a surface than this (cosine to the normal) is taken to cut it at this slope.
-_GRAZING = 0.05
 #: Estimates whose surroundings are looked at at a time.
 _BLOCK = 1 << 12
 #: The cut counts as no farther from the foot than this many local scales.
 _FARTHEST_CUT = 3.0
-
-
-class Surface(NamedTuple):
-    """The plane that fits some estimates best: their mean, its normal, and how flat (0 to 1) and how straight (0 to 1)
-    they lie."""
-
-    centre: Float[Tensor, "*lines 3"]
-    normal: Float[Tensor, "*lines 3"]
-    planarity: Float[Tensor, "*lines"]
-    linearity: Float[Tensor, "*lines"]
-
-    def at(self, index: Int[Tensor, "rows k"]) -> Surface:
-        """Those of some lines."""
-        return Surface(*(column[index] for column in self))
 
 
 class Nodes(NamedTuple):
@@ -120,7 +105,7 @@ def surroundings(
 
     point = lines.at(beta)
     # On the CPU: other devices have no such trees, are slow at many small matrices, or know no double precision.
-    local, sure = point.cpu(), confidence.cpu()
+    local, sure, direction = point.cpu(), confidence.cpu(), lines.direction.cpu()
     place = local.double().numpy()
     tree = KDTree(place)
     k, fine = (min(count + 1, len(place)) for count in (WIDE, SCALE))
@@ -129,10 +114,10 @@ def surroundings(
         found = tree.query(place[block], k)
         distance, index = (np.reshape(part, (-1, k)) for part in found)  # SciPy drops the axis of k = 1
         near = torch.as_tensor(index)
-        places, weight = local[near], sure[near]
         reach = torch.as_tensor(distance[:, fine - 1], dtype=beta.dtype)
-        surface = _fitted(places[:, :fine], weight[:, :fine])
-        return reach, weight[:, :fine].mean(dim=1), surface, _fitted(places, weight)
+        wide, close = near, near[:, :fine]
+        surface, wider = (fitted(local[some], direction[some], sure[some]) for some in (close, wide))
+        return reach, sure[close].mean(dim=1), surface, wider
 
     parts = [part for _, part in over_blocks(around, len(place), _BLOCK)]
     reaches, crowds, surfaces, wides = zip(*parts, strict=True)
@@ -155,23 +140,6 @@ def surroundings(
 
 def _joined(surfaces: Sequence[Surface], device: torch.device) -> Surface:
     return Surface(*(torch.cat(column).to(device) for column in zip(*surfaces, strict=True)))
-
-
-def _fitted(near: Float[Tensor, "lines k 3"], confidence: Float[Tensor, "lines k"]) -> Surface:
-    """The surfaces of some estimates each, the more confident ones weighing more."""
-    weight = confidence + 0.05
-    weight = (weight / weight.sum(dim=1, keepdim=True))[:, :, None]
-    centre = (weight * near).sum(dim=1, keepdim=True)
-    apart = near - centre
-    spread = torch.einsum("nka,nkb->nab", (weight * apart).double(), apart.double())
-    value, vector = torch.linalg.eigh(spread)
-    value = (value / value[:, 2:].clamp_min(1e-30)).to(near.dtype)
-    return Surface(
-        centre=centre[:, 0],
-        normal=vector[:, :, 0].to(near.dtype),
-        planarity=value[:, 1] - value[:, 0],
-        linearity=1 - value[:, 1],
-    )
 
 
 def edges(
@@ -197,7 +165,7 @@ def edges(
     # The flip of the direction is taken out: the side where the feet are skewed to is the positive one.
     sign = _side(foot - beta, scale, valid)
     surfaces = [nodes.surface.at(index), nodes.wide.at(index)]
-    crossings = [_crossing(surface, d, at_foot, at_closest, here) for surface in surfaces]
+    crossings = [crossing(surface, d, at_foot, at_closest, here) for surface in surfaces]
     feature = torch.stack(
         [
             sign * _compressed((foot - beta) / scale),
@@ -240,22 +208,6 @@ def edges(
 def _closest(d: Tensor, o: Tensor, direction: Tensor, moment: Tensor, cosine: Tensor, sine2: Tensor) -> Tensor:
     other_foot = torch.linalg.cross(direction, moment)
     return ((other_foot * d).sum(-1) + cosine * (o * direction).sum(-1)) / sine2
-
-
-class _Crossing(NamedTuple):
-    """How lines meet the surfaces around their candidates: cosine to the normal, where they cut them, counted from the
-    foot, and how far some places are off them."""
-
-    slope: Float[Tensor, "rows k"]
-    cut: Float[Tensor, "rows k"]
-    off: list[Float[Tensor, "rows k"]]
-
-
-def _crossing(surface: Surface, direction: Tensor, foot: Tensor, *others: Tensor) -> _Crossing:
-    slope = (surface.normal * direction).sum(-1)
-    slope = torch.where(slope.abs() < _GRAZING, torch.where(slope < 0, -_GRAZING, _GRAZING), slope)
-    off = [((place - surface.centre) * surface.normal).sum(-1) for place in (foot, *others)]
-    return _Crossing(slope, -off[0] / slope, off)
 
 
 def _side(

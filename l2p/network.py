@@ -126,9 +126,20 @@ class PositionAttention(nn.Module):
         normal = self.norm(token)
         value = self.value(normal).unflatten(2, (self.heads, -1)).transpose(1, 2)  # lines heads k dim
         near = (kernel @ value).transpose(1, 2).flatten(2)  # lines k width
-        everywhere = _mean_and_most(self.global_value(normal), valid)[:, None].expand(-1, token.shape[1], -1)
-        token = token + self.mix(torch.cat([normal, near, everywhere], dim=2))
+        token = token + self._mixed(normal, near, _mean_and_most(self.global_value(normal), valid))
         return token + self.shrink(nn.functional.gelu(self.expand(token)))
+
+    def _mixed(
+        self,
+        normal: Float[Tensor, "lines k width"],
+        near: Float[Tensor, "lines k width"],
+        everywhere: Float[Tensor, "lines pooled"],
+    ) -> Float[Tensor, "lines k width"]:
+        """``mix`` of the three side by side; what is the same for all tokens of a line is mixed once a line."""
+        width = normal.shape[2]
+        own, around, rest = self.mix.weight.split([width, width, everywhere.shape[1]], dim=1)
+        line = nn.functional.linear(everywhere, rest, self.mix.bias)[:, None]
+        return nn.functional.linear(normal, own) + nn.functional.linear(near, around) + line
 
 
 class LineTransformer(nn.Module):

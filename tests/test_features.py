@@ -11,9 +11,10 @@ import torch
 from torch import Tensor
 
 import l2p
-from l2p.features import EDGE, SCALE, STATE, VOTES, WIDE, Edges, Nodes, Surface, edges, surroundings
+from l2p.features import EDGE, SCALE, STATE, VOTES, WIDE, Edges, Nodes, edges, surroundings
 from l2p.frame import Frame
 from l2p.geometry import Lines
+from l2p.surfaces import Surface, fitted
 from l2p.tomography import Posterior
 
 LINES, K = 80, 10
@@ -191,7 +192,7 @@ def test_candidates_bring_their_own_gap_width_confidence_and_state(scene: Scene)
 
 def test_surroundings_are_those_of_the_nearest_estimates(scene: Scene) -> None:
     nodes = scene.nodes
-    points, confidence = nodes.point.numpy(), scene.confidence.numpy()
+    points, confidence, direction = nodes.point.numpy(), scene.confidence.numpy(), scene.lines.direction.numpy()
     for i, point in enumerate(points):
         distance = np.linalg.norm(points - point, axis=1)
         near = np.argsort(distance)
@@ -199,12 +200,9 @@ def test_surroundings_are_those_of_the_nearest_estimates(scene: Scene) -> None:
         assert float(nodes.crowd[i]) == pytest.approx(confidence[near[: SCALE + 1]].mean())
         for surface, count in ((nodes.surface, SCALE), (nodes.wide, WIDE)):
             some = near[: count + 1]
-            weight = confidence[some] + 0.05
-            value, vector = np.linalg.eigh(np.cov(points[some].T, aweights=weight, ddof=0))
-            np.testing.assert_allclose(surface.centre[i], np.average(points[some], axis=0, weights=weight))
-            assert abs(surface.normal[i].numpy() @ vector[:, 0]) == pytest.approx(1, abs=1e-6)
-            assert float(surface.planarity[i]) == pytest.approx((value[1] - value[0]) / value[2])
-            assert float(surface.linearity[i]) == pytest.approx((value[2] - value[1]) / value[2])
+            expected = fitted(*(torch.as_tensor(part[some])[None] for part in (points, direction, confidence)))
+            for found, part in zip(Surface(*(part[i : i + 1] for part in surface)), expected, strict=True):
+                torch.testing.assert_close(found.abs(), part.abs(), atol=1e-6, rtol=1e-6)
 
 
 def test_a_rigid_motion_and_scale_change_lengths_alone(scene: Scene, rng: np.random.Generator) -> None:
