@@ -1,4 +1,5 @@
-"""How far the answer of an attack depends on what it must not depend on: frame, scale, order, direction of the lines.
+"""How far the answer of an attack depends on what it must not depend on: frame, scale, order, direction of the lines;
+and, to compare with, on the rounding of a file in single precision.
 
     python benchmarks/invariance.py ../shared/scenes/val/room_chair.npz ../shared/scenes/val/strecha_castle_p30.npz
 
@@ -57,7 +58,19 @@ def turned(lines: LineCloud, rng: np.random.Generator) -> Change:
     return Change(LineCloud.through(lines.origin @ turn.T, lines.direction @ turn.T), lambda xyz: xyz @ turn)
 
 
-CHANGES = {"flipped": flipped, "shuffled": shuffled, "scaled and moved": scaled, "turned": turned}
+def rounded(lines: LineCloud, rng: np.random.Generator) -> Change:
+    """Written in single precision: not the same lines."""
+    single = (part.astype(np.float32).astype(np.float64) for part in (lines.direction, lines.moment))
+    return Change(LineCloud(*single), lambda xyz: xyz)
+
+
+CHANGES = {
+    "flipped": flipped,
+    "shuffled": shuffled,
+    "scaled and moved": scaled,
+    "turned": turned,
+    "in single precision": rounded,
+}
 
 
 def arguments() -> argparse.Namespace:

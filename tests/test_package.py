@@ -26,7 +26,7 @@ ORDER = [
     *("errors", "methods", "progress", "threads", "point_neighbors"),
     *("lines", "geometry", "frame", "recovery", "scene"),
     *("lifting", "point_tree", "point_search", "search", "peak", "octree", "tomography", "neighborhoods"),
-    *("features", "network", "learned", "checkpoint", "attack"),
+    *("surfaces", "features", "network", "learned", "checkpoint", "attack"),
     *("metrics", "oracles", "simulator", "clean"),
     *("curves", "provenance", "auditing"),
     *("io", "tables", "pictures", "demo", "exhibit", "window", "page", "commands", "cli", "__main__"),
