@@ -27,7 +27,9 @@ from l2p.tomography import TomographyConfig
 PLANS = ((4, 1), (2, 1), (2, 2), (1, 4), (2, 4), (1, 8))
 
 
-def subset_update(subsets: int, level: tomography._Level, density: Tensor, config: TomographyConfig) -> Tensor:
+def subset_update(
+    subsets: int, level: tomography._Level, density: Tensor, config: TomographyConfig, _: Shards
+) -> Tensor:
     """An update from each subset in turn, its mass scaled up to that of all lines."""
     for rows in torch.arange(len(level.cell)).tensor_split(subsets):
         part = level._replace(cell=level.cell[rows[0] : rows[-1] + 1])
