@@ -21,6 +21,7 @@ from l2p.frame import Frame
 from l2p.lifting import lift_indexed
 from l2p.metrics import spacing
 from l2p.octree import smooth
+from l2p.sharding import Shards
 from l2p.tomography import TomographyConfig
 
 #: Passes over the lines at each level, and subsets in each pass.

@@ -1,15 +1,10 @@
-"""What is kept of the rounds that are done, so that a run that was ended goes on from there; and who does the rounds."""
+"""What is kept of the rounds of an attack that are done, so that a run that was ended goes on from there."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
-from torch import Tensor
-
-from l2p.sharding import ALONE, Shards
 
 
 class Kept(NamedTuple):
@@ -31,37 +26,3 @@ class Journal:
 
     def keep(self, kept: Kept) -> None:
         """Keep what is known after a round, in place of what was known before."""
-
-
-@dataclass(frozen=True)
-class Rounds:
-    """Who does the rounds of an attack, and where is kept what they find.
-
-    Attributes
-    ----------
-    shards : Shards
-        The processes that share the lines.
-    journal : Journal
-        Of the first process; the others are told what is in it.
-    """
-
-    shards: Shards = ALONE
-    journal: Journal = field(default_factory=Journal)
-
-    def last(self, like: dict[str, Tensor]) -> tuple[int, dict[str, Tensor]]:
-        """How many rounds are done, and what was kept after them: tensors like those given; these themselves if none.
-        """
-        kept = self.journal.last() if self.shards.rank == 0 else None
-        some = next(iter(like.values()))
-        done = int(self.shards.first(torch.tensor(kept.rounds if kept else 0, device=some.device)))
-        if not done:
-            return 0, like
-        told = {name: torch.empty_like(part) for name, part in like.items()}
-        if kept is not None:
-            told = {name: torch.as_tensor(kept.parts[name]).to(part) for name, part in like.items()}
-        return done, {name: self.shards.first(part) for name, part in told.items()}
-
-    def keep(self, rounds: int, parts: dict[str, Tensor]) -> None:
-        """Keep what is known of all lines after so many rounds."""
-        if self.shards.rank == 0:
-            self.journal.keep(Kept(rounds, {name: part.cpu().numpy() for name, part in parts.items()}))

@@ -20,11 +20,11 @@ from l2p.errors import InputError
 from l2p.features import STATE, Nodes, edges, surroundings
 from l2p.frame import Frame
 from l2p.geometry import Lines
-from l2p.journal import Rounds
 from l2p.neighborhoods import Estimate, in_own_order
 from l2p.network import NO_VOTE, NOTHING, RADII, Judgement, LineTransformer
 from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
+from l2p.rounds import Rounds
 from l2p.search import nearest_points_to_lines, nearest_points_to_points
 from l2p.sharding import ALONE, Shards
 from l2p.threads import over_blocks
@@ -130,8 +130,8 @@ def judge_round(
                 state[block], sure[block] = judgement.state, judgement.sure
                 affinity[block] = torch.sigmoid(judgement.affinity)
                 advance(block.stop - block.start)
-    found = (shards.gather(part, len(nodes.beta)) for part in (beta, told(sure), state))
-    return Round(surroundings(lines, *found, shards), candidates, affinity, sure)
+    beta, confidence, state = (shards.gather(part, len(nodes.beta)) for part in (beta, told(sure), state))
+    return Round(surroundings(lines, beta, confidence, state, shards), candidates, affinity, sure)
 
 
 def told(sure: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:

@@ -19,10 +19,10 @@ from torch import Tensor
 from l2p.errors import InputError
 from l2p.frame import Frame
 from l2p.geometry import Lines, closest_points
-from l2p.journal import Rounds
 from l2p.methods import SCENE_KINDS
 from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
+from l2p.rounds import Rounds
 from l2p.search import (
     nearest_lines_to_lines,
     nearest_lines_to_points,

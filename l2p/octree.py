@@ -96,7 +96,8 @@ def children(
 ) -> tuple[Cells, Int[Tensor, "lines m"]]:
     """The halves of cells that samples fall in, ``code`` being their octants, and the row of each sample's cell.
 
-    The samples of all processes make the cells; rows are those of the own ones. A sample outside the box gets the number of cells. ``code`` is overwritten; ``samples`` bounds the temporaries.
+    The samples of all processes make the cells; rows are those of the own ones. A sample outside the box gets the
+    number of cells. ``code`` is overwritten; ``samples`` bounds the temporaries.
     """
     parents = above.count
     occupied = torch.zeros(8 * parents, dtype=torch.bool, device=code.device)

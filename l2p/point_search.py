@@ -68,7 +68,9 @@ class _Found(NamedTuple):
 def nearest_points(
     tree: PointTree, lines: Lines, k: int, progress: Progress, title: str, first: int = 0
 ) -> Int[Tensor, "lines k"]:
-    """The k points nearest to each line in no order; there are more than k. Point ``first`` + i is left out for line i.
+    """The k points nearest to each line in no order, point ``first + i`` being left out for line i.
+
+    There are more than k points.
     """
     count = len(lines.direction)
     index = torch.empty(count, k, dtype=torch.int32, device=lines.direction.device)
