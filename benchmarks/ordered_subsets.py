@@ -21,13 +21,16 @@ from l2p.frame import Frame
 from l2p.lifting import lift_indexed
 from l2p.metrics import spacing
 from l2p.octree import smooth
+from l2p.sharding import Shards
 from l2p.tomography import TomographyConfig
 
 #: Passes over the lines at each level, and subsets in each pass.
 PLANS = ((4, 1), (2, 1), (2, 2), (1, 4), (2, 4), (1, 8))
 
 
-def subset_update(subsets: int, level: tomography._Level, density: Tensor, config: TomographyConfig) -> Tensor:
+def subset_update(
+    subsets: int, level: tomography._Level, density: Tensor, config: TomographyConfig, _: Shards
+) -> Tensor:
     """An update from each subset in turn, its mass scaled up to that of all lines."""
     for rows in torch.arange(len(level.cell)).tensor_split(subsets):
         part = level._replace(cell=level.cell[rows[0] : rows[-1] + 1])

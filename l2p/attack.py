@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
 from os import PathLike
 from typing import Any
@@ -9,14 +11,18 @@ from typing import Any
 import numpy as np
 import torch
 
+from l2p import __version__
 from l2p.checkpoint import load, shipped
 from l2p.errors import InputError
 from l2p.frame import Frame
+from l2p.geometry import Lines
 from l2p.lines import LineCloud
 from l2p.methods import DEFAULT_METHOD, METHODS, SETTINGS
-from l2p.neighborhoods import Heuristic, HeuristicConfig, Method, TomographicConfig, Tomography
+from l2p.neighborhoods import Heuristic, HeuristicConfig, Method, MethodInRounds, TomographicConfig, Tomography
 from l2p.progress import NO_PROGRESS, Progress
 from l2p.recovery import Recovery
+from l2p.rounds import Rounds
+from l2p.sharding import Shards
 
 
 def recover(
@@ -106,17 +112,35 @@ def named_method(
 
 
 def run(
-    lines: LineCloud, method: Method, *, device: str = "cpu", progress: Progress = NO_PROGRESS, name: str = ""
+    lines: LineCloud,
+    method: Method,
+    *,
+    device: str = "cpu",
+    progress: Progress = NO_PROGRESS,
+    name: str = "",
+    rounds: Rounds | None = None,
 ) -> Recovery:
-    """Run any method, an attack, a bound or a user's own, on a line cloud."""
+    """Run any method, an attack, a bound or a user's own, on a line cloud.
+
+    With ``rounds``, several processes share the lines of this one, the first, while :func:`assist` runs in the others;
+    and the run goes on from the last round in the journal.
+    """
     if len(lines) == 0:
         raise InputError("got a line cloud without lines; expected at least one line")
     where = usable_device(device)
     began = time.perf_counter()
+    if rounds is not None:
+        rounds.shards.check(len(lines))
+        rounds.journal.begin(_about(lines, method, name))
     frame = Frame.of(lines)
     with torch.inference_mode():
         inside = frame.enter(lines, where)
-        estimate = method.locate(inside, frame, progress)
+        if rounds is None:
+            estimate = method.locate(inside, frame, progress)
+        else:
+            sharing = _in_rounds(method)
+            inside, frame = _told(rounds.shards, method, where, inside, frame)
+            estimate = sharing.locate_in_rounds(inside, frame, progress, rounds)
     beta = frame.leave(lines, estimate.beta)
     info = {
         "method": name or type(method).__name__,
@@ -133,6 +157,61 @@ def run(
         affinity=estimate.affinity.float().cpu().numpy(),
         info=info,
     )
+
+
+def assist(method: Method, shards: Shards, *, device: str = "cpu") -> None:
+    """Do the share of this process, another than the first, of what :func:`run` does in the first one.
+
+    Raises
+    ------
+    InputError
+        If this process has another method, other settings, another checkpoint or another version of l2p than the first.
+    """
+    where, sharing = usable_device(device), _in_rounds(method)
+    with torch.inference_mode():
+        lines, frame = _told(shards, method, where)
+        sharing.locate_in_rounds(lines, frame, NO_PROGRESS, Rounds(shards))
+
+
+def _in_rounds(method: Method) -> MethodInRounds:
+    if not isinstance(method, MethodInRounds):
+        raise InputError(
+            f"got {type(method).__name__} to share out or to go on with; expected a method with locate_in_rounds"
+        )
+    return method
+
+
+def _about(lines: LineCloud, method: Method, name: str) -> dict[str, Any]:
+    """What makes a run the same as another, for its journal."""
+    digest = hashlib.sha256()
+    for part in (lines.direction, lines.moment):
+        digest.update(part.tobytes())
+    return {
+        "lines": digest.hexdigest(),
+        "method": name or type(method).__name__,
+        "settings": method.settings(),
+        "l2p": __version__,
+    }
+
+
+def _told(
+    shards: Shards, method: Method, where: torch.device, lines: Lines | None = None, frame: Frame | None = None
+) -> tuple[Lines, Frame]:
+    """The lines and the frame of the first process, the same bits at all of them."""
+    same = json.dumps([__version__, type(method).__name__, method.settings()], sort_keys=True)
+    own = torch.frombuffer(bytearray(hashlib.sha256(same.encode()).digest()), dtype=torch.uint8).to(where)
+    if not torch.equal(shards.first(own.clone()), own):
+        raise InputError(
+            f"process {shards.rank} has another method, other settings, another checkpoint or another version of l2p "
+            "than the first; start all with the same words"
+        )
+    if lines is not None and frame is not None:
+        facts = torch.tensor([len(lines.direction), *frame.center, frame.unit, *frame.axes.flat], dtype=torch.float64)
+        shards.first(facts.to(where))
+        return Lines(*(shards.first(part) for part in lines)), frame
+    facts = shards.first(torch.empty(14, dtype=torch.float64, device=where)).cpu().numpy()
+    frame = Frame(facts[1:4], float(facts[4]), facts[5:].reshape(3, 3))
+    return Lines(*(shards.first(torch.empty(int(facts[0]), 3, device=where)) for _ in range(2))), frame
 
 
 def usable_device(name: str) -> torch.device:

@@ -9,19 +9,23 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from l2p import __version__
-from l2p.errors import InputError, sentence
+from l2p.errors import InputError, LostProcessError, sentence
 from l2p.methods import DEFAULT_METHOD, METHODS, SCENE_KINDS
 from l2p.page import MOST_POINTS
 
-#: Exit codes: the user's error, and Ctrl-C (128 + SIGINT).
-USER_ERROR, INTERRUPTED = 2, 130
+#: Exit codes: a process that shared the work has died, the user's error, and Ctrl-C (128 + SIGINT).
+LOST, USER_ERROR, INTERRUPTED = 1, 2, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and give its exit code: 0 done, 2 for a user's error, 130 after Ctrl-C."""
+    """Run one command and give its exit code: 0 done, 1 when a process that shared the work has died, 2 for a user's
+    error, 130 after Ctrl-C."""
     arguments = _parser().parse_args(argv)
+    arguments.words = sys.argv[1:] if argv is None else list(argv)
     # Threads that wait should sleep: on a machine that is busy, those that spin take several times as long.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # Of a lost process torch would tell in pages.
+    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "FATAL")
     try:
         import l2p.commands
 
@@ -29,10 +33,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (InputError, OSError) as error:
         _complain(sentence(error))
         return USER_ERROR
+    except LostProcessError as error:
+        _complain(sentence(error))
+        return LOST
     except KeyboardInterrupt:
-        print("l2p: interrupted; nothing was written", file=sys.stderr)
+        print(f"l2p: interrupted; {_left(arguments)}", file=sys.stderr)
         return INTERRUPTED
     return 0
+
+
+def _left(arguments: argparse.Namespace) -> str:
+    """What an interrupted command leaves behind."""
+    if arguments.command == "recover":
+        from l2p.io.state_files import state_path
+
+        if state_path(arguments.output).exists():
+            return f"start again with --resume to go on from the finished rounds in {state_path(arguments.output)}"
+    return "nothing was written"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -127,6 +144,17 @@ def _add_recover(commands: Any) -> None:
         "--seed", type=_seed, metavar="S", help="kept with the result; no method of today draws random numbers"
     )
     recover.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
+    recover.add_argument(
+        "--processes",
+        type=int,
+        metavar="P",
+        help="share the lines out over so many processes of this machine; torchrun does it over several machines",
+    )
+    recover.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on from the last finished round of a run that was ended, which OUT.state has; without one, begin",
+    )
     _add_json(recover, "STATS", "settings, seconds and confidences")
     _add_force(recover)
 

@@ -1,8 +1,12 @@
-"""The errors that are the user's to mend: the command line prints them as one sentence and exits with 2."""
+"""The errors that the command line prints as one sentence: those that are the user's to mend, and lost processes."""
 
 
 class InputError(ValueError):
     """Input that cannot be used: the message says what came, what was expected and what to do."""
+
+
+class LostProcessError(RuntimeError):
+    """Another process that shares the work has ended before it was done."""
 
 
 def sentence(error: Exception) -> str:

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from l2p.geometry import PARALLEL, Lines
+from l2p.sharding import ALONE, Shards
 from l2p.surfaces import Surface, crossing, fitted
 from l2p.threads import over_blocks
 from l2p.tomography import Posterior
@@ -99,8 +100,12 @@ def surroundings(
     beta: Float[Tensor, " lines"],
     confidence: Float[Tensor, " lines"],
     state: Float[Tensor, "lines state"],
+    shards: Shards = ALONE,
 ) -> Nodes:
-    """Local scale and surfaces of the estimates, from the nearest of them; O(lines log lines)."""
+    """Local scale and surfaces of the estimates, from the nearest of them; O(lines log lines).
+
+    Each process looks around the estimates of its own lines, and is told what the others see.
+    """
     from scipy.spatial import KDTree
 
     point = lines.at(beta)
@@ -108,10 +113,11 @@ def surroundings(
     local, sure, direction = point.cpu(), confidence.cpu(), lines.direction.cpu()
     place = local.double().numpy()
     tree = KDTree(place)
+    own = place[shards.own(len(place))]
     k, fine = (min(count + 1, len(place)) for count in (WIDE, SCALE))
 
     def around(block: slice) -> tuple[Tensor, Tensor, Surface, Surface]:
-        found = tree.query(place[block], k)
+        found = tree.query(own[block], k)
         distance, index = (np.reshape(part, (-1, k)) for part in found)  # SciPy drops the axis of k = 1
         near = torch.as_tensor(index)
         reach = torch.as_tensor(distance[:, fine - 1], dtype=beta.dtype)
@@ -119,9 +125,13 @@ def surroundings(
         surface, wider = (fitted(local[some], direction[some], sure[some]) for some in (close, wide))
         return reach, sure[close].mean(dim=1), surface, wider
 
-    parts = [part for _, part in over_blocks(around, len(place), _BLOCK)]
+    parts = [part for _, part in over_blocks(around, len(own), _BLOCK)]
     reaches, crowds, surfaces, wides = zip(*parts, strict=True)
-    reach = torch.cat(reaches)
+
+    def of_all(parts: Sequence[Tensor]) -> Tensor:
+        return shards.gather(torch.cat(list(parts)).to(beta.device), len(place))
+
+    reach = of_all(reaches).cpu()
     # Coinciding estimates have no scale of their own; the scene's typical one stands in.
     floor = 1e-3 * reach[reach > 0].median() if (reach > 0).any() else torch.ones(())
     scale = reach.clamp_min(floor)
@@ -129,23 +139,24 @@ def surroundings(
         beta=beta,
         point=point,
         scale=scale.to(beta.device),
-        surface=_joined(surfaces, beta.device),
-        wide=_joined(wides, beta.device),
-        crowd=torch.cat(crowds).to(beta.device),
+        surface=Surface(*map(of_all, zip(*surfaces, strict=True))),
+        wide=Surface(*map(of_all, zip(*wides, strict=True))),
+        crowd=of_all(crowds),
         confidence=confidence,
         state=state,
         typical=scale.median().to(beta.device),
     )
 
 
-def _joined(surfaces: Sequence[Surface], device: torch.device) -> Surface:
-    return Surface(*(torch.cat(column).to(device) for column in zip(*surfaces, strict=True)))
-
-
 def edges(
-    lines: Lines, nodes: Nodes, posterior: Posterior, rows: Int[Tensor, " rows"], candidates: Int[Tensor, "rows k"]
+    lines: Lines,
+    nodes: Nodes,
+    posterior: Posterior,
+    rows: Int[Tensor, " rows"],
+    candidates: Int[Tensor, "rows k"],
+    first: int = 0,
 ) -> Edges:
-    """Votes and features of the candidates of some lines; -1 is padding."""
+    """Votes and features of the candidates of some lines; -1 is padding. The posterior begins with line ``first``."""
     valid = candidates >= 0
     index = candidates.clamp_min(0).long()
     own = lines.rows(rows)
@@ -176,8 +187,8 @@ def edges(
             _compressed(line_point / scale),
             _compressed((here - point).norm(dim=-1) / scale),
             cosine.abs(),
-            _log_posterior(posterior, rows, foot, scale),
-            _log_posterior(posterior, rows, closest, scale),
+            _log_posterior(posterior, rows - first, foot, scale),
+            _log_posterior(posterior, rows - first, closest, scale),
             confidence,
             nodes.confidence[rows][:, None].expand_as(confidence),
             crowd,

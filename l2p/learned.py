@@ -24,12 +24,16 @@ from l2p.neighborhoods import Estimate, in_own_order
 from l2p.network import NO_VOTE, NOTHING, RADII, Judgement, LineTransformer
 from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
+from l2p.rounds import Rounds
 from l2p.search import nearest_points_to_lines
+from l2p.sharding import ALONE, Shards
 from l2p.threads import over_blocks
 from l2p.tomography import Posterior, TomographyConfig, mass_within, modes, reconstruct
 
 #: Of the radii, the one that the lines around are told the confidence of.
 _TOLD = RADII.index(1.0)
+#: Of the nodes, what the next round cannot find anew.
+_KEPT = ("beta", "confidence", "state")
 #: Points of maps lie on surfaces, and in bunches on them: the dimension that spacings of thinned training scenes show.
 _DIMENSION = 1.9
 
@@ -70,28 +74,31 @@ class LearnedConfig:
 
 
 class Round(NamedTuple):
-    """What a round finds: the nodes of the next one, each line's candidates with their affinities, and how sure it is
-    of each estimate (logits, see :class:`l2p.network.Judgement`)."""
+    """What a round finds: the nodes of the next one, and of the lines of this process the candidates with their
+    affinities, and how sure it is of each estimate (logits, see :class:`l2p.network.Judgement`)."""
 
     nodes: Nodes
-    candidates: Int[Tensor, "lines k"]
-    affinity: Float[Tensor, "lines k"]
-    sure: Float[Tensor, "lines radii"]
+    candidates: Int[Tensor, "own k"]
+    affinity: Float[Tensor, "own k"]
+    sure: Float[Tensor, "own radii"]
 
 
-def first_nodes(lines: Lines, posterior: Posterior) -> Nodes:
+def first_nodes(lines: Lines, posterior: Posterior, shards: Shards = ALONE) -> Nodes:
     """What is known before the first round: the modes of the posterior."""
-    beta, _ = modes(posterior)
-    state = beta.new_zeros(len(beta), STATE)
-    nodes = surroundings(lines, beta, torch.ones_like(beta), state)
-    return surroundings(lines, beta, mass_within(posterior, beta, nodes.scale), state)
+    count = len(lines.direction)
+    mode, _ = modes(posterior)
+    beta = shards.gather(mode, count)
+    state = beta.new_zeros(count, STATE)
+    scale = surroundings(lines, beta, torch.ones_like(beta), state, shards).scale[shards.own(count)]
+    return surroundings(lines, beta, shards.gather(mass_within(posterior, mode, scale), count), state, shards)
 
 
 def find_candidates(
-    lines: Lines, nodes: Nodes, config: LearnedConfig, progress: Progress = NO_PROGRESS
-) -> Int[Tensor, "lines k"]:
+    lines: Lines, nodes: Nodes, config: LearnedConfig, progress: Progress = NO_PROGRESS, shards: Shards = ALONE
+) -> Int[Tensor, "own k"]:
     """The candidates of each line, -1 for none."""
-    near = nearest_points_to_lines(lines, nodes.point, config.candidates, scale=nodes.scale.sqrt(), progress=progress)
+    scale = nodes.scale.sqrt()
+    near = nearest_points_to_lines(lines, nodes.point, config.candidates, scale=scale, progress=progress, shards=shards)
     return near.index
 
 
@@ -102,17 +109,18 @@ def judge_round(
     network: LineTransformer,
     config: LearnedConfig,
     progress: Progress = NO_PROGRESS,
+    shards: Shards = ALONE,
 ) -> Round:
-    """Run one round on all lines; the network in evaluation mode."""
-    candidates = find_candidates(lines, nodes, config, progress)
-    count = len(candidates)
-    beta, state = nodes.beta.clone(), torch.zeros_like(nodes.state)
+    """Run one round on all lines, or on those of this process; the network in evaluation mode."""
+    candidates = find_candidates(lines, nodes, config, progress, shards)
+    own, count = shards.own(len(nodes.beta)), len(candidates)
+    beta, state = nodes.beta[own].clone(), torch.zeros_like(nodes.state[own])
     affinity = torch.zeros_like(candidates, dtype=beta.dtype)
     sure = beta.new_full((count, len(RADII)), NOTHING)
 
     def judged(block: slice) -> tuple[Judgement, Tensor]:
-        rows = torch.arange(block.start, block.stop, device=candidates.device)
-        judgement = network(edges(lines, nodes, posterior, rows, candidates[rows]))
+        rows = torch.arange(own.start + block.start, own.start + block.stop, device=candidates.device)
+        judgement = network(edges(lines, nodes, posterior, rows, candidates[block], own.start))
         return judgement, weighted_peak(judgement, config)
 
     with progress.task("affinities", total=count) as advance:
@@ -122,7 +130,8 @@ def judge_round(
                 state[block], sure[block] = judgement.state, judgement.sure
                 affinity[block] = torch.sigmoid(judgement.affinity)
                 advance(block.stop - block.start)
-    return Round(surroundings(lines, beta, told(sure), state), candidates, affinity, sure)
+    beta, confidence, state = (shards.gather(part, len(nodes.beta)) for part in (beta, told(sure), state))
+    return Round(surroundings(lines, beta, confidence, state, shards), candidates, affinity, sure)
 
 
 def told(sure: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:
@@ -178,23 +187,42 @@ class Learned:
 
     def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
         """Tomography, then the rounds; O(rounds x lines x k^2) besides the searches."""
-        return in_own_order(lines, lambda lines: self._judged(lines, progress))
+        return self.locate_in_rounds(lines, frame, progress, Rounds())
 
-    def _judged(self, lines: Lines, progress: Progress) -> Estimate:
+    def locate_in_rounds(self, lines: Lines, frame: Frame, progress: Progress, rounds: Rounds) -> Estimate:
+        """The same by several processes, and from the last round that was kept."""
+        return in_own_order(lines, lambda lines: self._judged(lines, progress, rounds), rounds.shards)
+
+    def _judged(self, lines: Lines, progress: Progress, rounds: Rounds) -> Estimate:
+        shards = rounds.shards
         network = self.network.to(lines.direction.device)
-        posterior = reconstruct(lines, TomographyConfig(), progress)
-        nodes = first_nodes(lines, posterior)
+        posterior = reconstruct(lines, TomographyConfig(), progress, shards)
+        done, nodes = self._begun(lines, posterior, rounds)
         if not self.config.rounds:
-            candidates = find_candidates(lines, nodes, self.config, progress)
-            return Estimate(nodes.beta, nodes.confidence, candidates, (candidates >= 0).to(nodes.beta.dtype))
+            candidates = find_candidates(lines, nodes, self.config, progress, shards)
+            affinity = (candidates >= 0).to(nodes.beta.dtype)
+            own = shards.own(len(nodes.beta))
+            return Estimate(nodes.beta[own], nodes.confidence[own], candidates, affinity)
         found = None
-        for _ in range(self.config.rounds):
-            found = judge_round(lines, nodes, posterior, network, self.config, progress)
+        for number in range(done, self.config.rounds):
+            found = judge_round(lines, nodes, posterior, network, self.config, progress, shards)
             nodes = found.nodes
+            if number + 1 < self.config.rounds:
+                rounds.keep(number + 1, {name: getattr(nodes, name) for name in _KEPT})
         assert found is not None
-        return Estimate(nodes.beta, self.confidence(found), found.candidates, found.affinity)
+        own = shards.own(len(nodes.beta))
+        return Estimate(nodes.beta[own], self.confidence(found), found.candidates, found.affinity)
 
-    def confidence(self, found: Round) -> Float[Tensor, " lines"]:
+    def _begun(self, lines: Lines, posterior: Posterior, rounds: Rounds) -> tuple[int, Nodes]:
+        """How many rounds are done, and what is known after them."""
+        number = lines.direction[:, 0]
+        like = {"beta": number, "confidence": number, "state": number.new_zeros(len(number), STATE)}
+        done, kept = rounds.last(like)
+        if not done:
+            return 0, first_nodes(lines, posterior, rounds.shards)
+        return done, surroundings(lines, kept["beta"], kept["confidence"], kept["state"], rounds.shards)
+
+    def confidence(self, found: Round) -> Float[Tensor, " own"]:
         """Calibrated probability that each point of the last round lies within 1 spacing of the map."""
         calibration = found.sure.new_tensor(self.calibration[self.config.rounds - 1])
         logit = (calibration[:, 0] * found.sure + calibration[:, 1]).cummax(dim=1).values

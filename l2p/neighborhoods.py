@@ -22,12 +22,14 @@ from l2p.geometry import Lines, closest_points
 from l2p.methods import SCENE_KINDS
 from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
+from l2p.rounds import Rounds
 from l2p.search import (
     nearest_lines_to_lines,
     nearest_lines_to_points,
     nearest_points_to_lines,
     nearest_points_to_points,
 )
+from l2p.sharding import ALONE, Shards
 from l2p.tomography import TomographyConfig, mass_within, modes, reconstruct
 
 #: Votes in one block of the peak search (times about 60 bytes of temporaries).
@@ -60,20 +62,30 @@ class Method(Protocol):
         ...
 
 
+@runtime_checkable
+class MethodInRounds(Method, Protocol):
+    """A method that several processes can share, and that can go on from a round."""
+
+    def locate_in_rounds(self, lines: Lines, frame: Frame, progress: Progress, rounds: Rounds) -> Estimate:
+        """Place the points as ``locate`` does; the first process has the answer, the others that of their own lines."""
+        ...
+
+
 def vote(
     lines: Lines,
-    neighbors: Int[Tensor, "lines k"],
-    affinity: Float[Tensor, "lines k"] | None = None,
+    neighbors: Int[Tensor, "own k"],
+    affinity: Float[Tensor, "own k"] | None = None,
     peak: PeakConfig | None = None,
     progress: Progress = NO_PROGRESS,
+    shards: Shards = ALONE,
 ) -> Estimate:
     """The closest points to the neighbours vote, the peak is the estimate, its support the confidence.
 
     Affinities weight the votes; without them each neighbour has one vote.
     """
     weight = _equal(lines, neighbors) if affinity is None else affinity
-    beta = peaks(lines, neighbors, weight, peak, progress)
-    return Estimate(beta, support(lines, neighbors, weight, beta), neighbors, weight)
+    beta = peaks(lines, neighbors, weight, peak, progress, shards)
+    return Estimate(beta, support(lines, neighbors, weight, beta, shards), neighbors, weight)
 
 
 def own_order(lines: Lines) -> Int[Tensor, " lines"]:
@@ -82,35 +94,40 @@ def own_order(lines: Lines) -> Int[Tensor, " lines"]:
     return torch.as_tensor(np.lexsort(key.T), device=lines.direction.device)
 
 
-def in_own_order(lines: Lines, locate: Callable[[Lines], Estimate]) -> Estimate:
+def in_own_order(lines: Lines, locate: Callable[[Lines], Estimate], shards: Shards = ALONE) -> Estimate:
     """What ``locate`` makes of the lines in an order that they decide themselves, in the order that they came in.
 
-    Sums, and choices between equals, depend on the order; see :mod:`l2p.frame`.
+    Sums, and choices between equals, depend on the order; see :mod:`l2p.frame`. Of several processes, the first one
+    has the answer, the others nothing.
     """
     order = own_order(lines)
-    found = locate(lines.rows(order))
+    found = Estimate(*(shards.collect(part, len(order)) for part in locate(lines.rows(order))))
+    if shards.rank > 0:
+        return found
     place = order.argsort()
     near = found.neighbors[place]
     named = order[near.clamp_min(0).long()].to(near.dtype).masked_fill(near < 0, -1)
     return Estimate(found.beta[place], found.confidence[place], named, found.affinity[place])
 
 
-def _equal(lines: Lines, neighbors: Int[Tensor, "lines k"]) -> Float[Tensor, "lines k"]:
+def _equal(lines: Lines, neighbors: Int[Tensor, "own k"]) -> Float[Tensor, "own k"]:
     return (neighbors >= 0).to(lines.direction.dtype)
 
 
 def peaks(
     lines: Lines,
-    neighbors: Int[Tensor, "lines k"],
-    affinity: Float[Tensor, "lines k"],
+    neighbors: Int[Tensor, "own k"],
+    affinity: Float[Tensor, "own k"],
     peak: PeakConfig | None = None,
     progress: Progress = NO_PROGRESS,
-) -> Float[Tensor, " lines"]:
+    shards: Shards = ALONE,
+) -> Float[Tensor, " own"]:
     """The peak of the neighbours' votes on each line; the foot, 0, where there is no vote. Blocked over lines."""
+    own = lines.rows(shards.own(len(lines.direction)))
     beta = lines.direction.new_zeros(len(neighbors))
     with progress.task("peaks of the votes", total=len(neighbors)) as advance:
         for here in _blocks(neighbors):
-            votes = closest_points(lines.rows(here), lines, neighbors[here])
+            votes = closest_points(own.rows(here), lines, neighbors[here])
             beta[here] = find_peak(votes.beta, affinity[here] * votes.valid, peak).beta.nan_to_num(nan=0.0)
             advance(here.stop - here.start)
     return beta
@@ -118,36 +135,39 @@ def peaks(
 
 def support(
     lines: Lines,
-    neighbors: Int[Tensor, "lines k"],
-    affinity: Float[Tensor, "lines k"],
-    beta: Float[Tensor, " lines"],
-) -> Float[Tensor, " lines"]:
+    neighbors: Int[Tensor, "own k"],
+    affinity: Float[Tensor, "own k"],
+    beta: Float[Tensor, " own"],
+    shards: Shards = ALONE,
+) -> Float[Tensor, " own"]:
     """Votes near the estimate over all votes that a line could have had, in [0, 1].
 
     Near means within the median, over the lines, of the median distance of a line's votes from its estimate. It ranks
     lines (column ``confidence_auc`` of ``python -m eval``); Kuiper's statistic does not, since it tells sharp peaks,
     right or wrong, from blunt ones.
     """
+    own = lines.rows(shards.own(len(lines.direction)))
     distance = lines.direction.new_full((len(neighbors),), torch.nan)
     near = torch.zeros_like(distance)
     for here in _blocks(neighbors):
-        distance[here] = _apart(lines, neighbors, affinity, beta, here).nanmedian(dim=1).values
-    radius = distance.nanmedian()
+        distance[here] = _apart(own, lines, neighbors, affinity, beta, here).nanmedian(dim=1).values
+    radius = shards.gather(distance, len(lines.direction)).nanmedian()
     for here in _blocks(neighbors):
-        inside = _apart(lines, neighbors, affinity, beta, here) <= radius
+        inside = _apart(own, lines, neighbors, affinity, beta, here) <= radius
         near[here] = (affinity[here] * inside).sum(dim=1)
     return (near / max(neighbors.shape[1], 1)).clamp(0, 1)
 
 
 def _apart(
+    own: Lines,
     lines: Lines,
-    neighbors: Int[Tensor, "lines k"],
-    affinity: Float[Tensor, "lines k"],
-    beta: Float[Tensor, " lines"],
+    neighbors: Int[Tensor, "own k"],
+    affinity: Float[Tensor, "own k"],
+    beta: Float[Tensor, " own"],
     rows: slice,
 ) -> Float[Tensor, "rows k"]:
     """Distance of each vote from the estimate, NaN where there is no vote."""
-    votes = closest_points(lines.rows(rows), lines, neighbors[rows])
+    votes = closest_points(own.rows(rows), lines, neighbors[rows])
     apart = (votes.beta - beta[rows, None]).abs()
     return apart.masked_fill(~votes.valid | (affinity[rows] <= 0), torch.nan)
 
@@ -218,20 +238,31 @@ class Heuristic:
 
     def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
         """Coarse stage and refinements; O(rounds x lines^2) time, O(lines k) memory."""
-        return in_own_order(lines, lambda lines: self._refined(lines, progress))
+        return self.locate_in_rounds(lines, frame, progress, Rounds())
 
-    def _refined(self, lines: Lines, progress: Progress) -> Estimate:
-        nearest = nearest_lines_to_lines(lines, self.config.coarse, progress=progress)
-        neighbors = nearest.index
-        del nearest
-        for _ in range(self.config.rounds):
-            beta = peaks(lines, neighbors, _equal(lines, neighbors), self.config.peak, progress)
-            neighbors = self._mutual(lines, lines.at(beta), progress)
-        return vote(lines, neighbors, peak=self.config.peak, progress=progress)
+    def locate_in_rounds(self, lines: Lines, frame: Frame, progress: Progress, rounds: Rounds) -> Estimate:
+        """The same by several processes, and from the last round that was kept."""
+        return in_own_order(lines, lambda lines: self._refined(lines, progress, rounds), rounds.shards)
 
-    def _mutual(self, lines: Lines, points: Float[Tensor, "lines 3"], progress: Progress) -> Int[Tensor, "lines k"]:
-        near_line = nearest_points_to_lines(lines, points, self.config.fine, progress=progress).index
-        near_point = nearest_lines_to_points(points, lines, self.config.fine, progress=progress).index
+    def _refined(self, lines: Lines, progress: Progress, rounds: Rounds) -> Estimate:
+        shards, peak = rounds.shards, self.config.peak
+        done, kept = rounds.last({"beta": lines.direction[:, 0]})
+        if done:
+            neighbors = self._mutual(lines, lines.at(kept["beta"]), progress, shards)
+        else:
+            neighbors = nearest_lines_to_lines(lines, self.config.coarse, progress=progress, shards=shards).index
+        for number in range(done, self.config.rounds):
+            part = peaks(lines, neighbors, _equal(lines, neighbors), peak, progress, shards)
+            beta = shards.gather(part, len(lines.direction))
+            rounds.keep(number + 1, {"beta": beta})
+            neighbors = self._mutual(lines, lines.at(beta), progress, shards)
+        return vote(lines, neighbors, peak=peak, progress=progress, shards=shards)
+
+    def _mutual(
+        self, lines: Lines, points: Float[Tensor, "lines 3"], progress: Progress, shards: Shards
+    ) -> Int[Tensor, "own k"]:
+        near_line = nearest_points_to_lines(lines, points, self.config.fine, progress=progress, shards=shards).index
+        near_point = nearest_lines_to_points(points, lines, self.config.fine, progress=progress, shards=shards).index
         both = member(near_line, near_point)
         enough = both.sum(dim=1, keepdim=True) > self.config.intersection
         return near_line.masked_fill(~both & enough, -1)
@@ -279,17 +310,28 @@ class Tomography:
 
     def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
         """O(lines x segments) for the posterior, O(lines log lines) for the search of the voters."""
-        return in_own_order(lines, lambda lines: self._voted(lines, progress))
+        return self.locate_in_rounds(lines, frame, progress, Rounds())
 
-    def _voted(self, lines: Lines, progress: Progress) -> Estimate:
-        posterior = reconstruct(lines, self.config.tomography, progress)
-        beta = modes(posterior)[0]
-        near = nearest_points_to_points(lines.at(beta), self.config.nearest)
-        for _ in range(self.config.rounds):
-            beta = peaks(lines, near.index, _equal(lines, near.index), self.config.peak, progress)
-            near = nearest_points_to_points(lines.at(beta), self.config.nearest)
-        radius = 2 * float(near.distance.median()) if near.distance.numel() else 0.0
-        return Estimate(beta, mass_within(posterior, beta, radius), near.index, _equal(lines, near.index))
+    def locate_in_rounds(self, lines: Lines, frame: Frame, progress: Progress, rounds: Rounds) -> Estimate:
+        """The same by several processes, and from the last round that was kept."""
+        return in_own_order(lines, lambda lines: self._voted(lines, progress, rounds), rounds.shards)
+
+    def _voted(self, lines: Lines, progress: Progress, rounds: Rounds) -> Estimate:
+        shards, count = rounds.shards, len(lines.direction)
+        # The confidence needs the posterior, whatever rounds are done.
+        posterior = reconstruct(lines, self.config.tomography, progress, shards)
+        done, kept = rounds.last({"beta": lines.direction[:, 0]})
+        beta = kept["beta"] if done else shards.gather(modes(posterior)[0], count)
+        near = nearest_points_to_points(lines.at(beta), self.config.nearest, shards=shards)
+        for number in range(done, self.config.rounds):
+            part = peaks(lines, near.index, _equal(lines, near.index), self.config.peak, progress, shards)
+            beta = shards.gather(part, count)
+            rounds.keep(number + 1, {"beta": beta})
+            near = nearest_points_to_points(lines.at(beta), self.config.nearest, shards=shards)
+        distance = shards.gather(near.distance, count)
+        radius = 2 * float(distance.median()) if distance.numel() else 0.0
+        own = beta[shards.own(count)]
+        return Estimate(own, mass_within(posterior, own, radius), near.index, _equal(lines, near.index))
 
     def settings(self) -> dict[str, Any]:
         """The configuration."""

@@ -12,6 +12,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from l2p.sharding import ALONE, Shards
+
 #: Exchange between neighbours that turns the even spreading of a parent's mass into trilinear interpolation.
 TRILINEAR = 0.25
 
@@ -89,15 +91,19 @@ def root(side: int, device: torch.device) -> Cells:
     return Cells(side, place, after, before, row[:0])
 
 
-def children(above: Cells, code: Int[Tensor, "lines m"], samples: int) -> tuple[Cells, Int[Tensor, "lines m"]]:
+def children(
+    above: Cells, code: Int[Tensor, "lines m"], samples: int, shards: Shards = ALONE
+) -> tuple[Cells, Int[Tensor, "lines m"]]:
     """The halves of cells that samples fall in, ``code`` being their octants, and the row of each sample's cell.
 
-    A sample outside the box gets the number of cells. ``code`` is overwritten; ``samples`` bounds the temporaries.
+    The samples of all processes make the cells; rows are those of the own ones. A sample outside the box gets the
+    number of cells. ``code`` is overwritten; ``samples`` bounds the temporaries.
     """
     parents = above.count
     occupied = torch.zeros(8 * parents, dtype=torch.bool, device=code.device)
     for part in code.view(-1).split(samples):
         occupied[part[part >= 0]] = True
+    shards.either(occupied)
     octant = torch.nonzero(occupied).flatten().int()
     count = len(octant)
     # A parent that is not there has no children; neither has the octant -1.

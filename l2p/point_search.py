@@ -65,8 +65,13 @@ class _Found(NamedTuple):
     radius: Float[Tensor, " lines"]
 
 
-def nearest_points(tree: PointTree, lines: Lines, k: int, progress: Progress, title: str) -> Int[Tensor, "lines k"]:
-    """The k points nearest to each line in no order, point i being left out for line i; there are more than k."""
+def nearest_points(
+    tree: PointTree, lines: Lines, k: int, progress: Progress, title: str, first: int = 0
+) -> Int[Tensor, "lines k"]:
+    """The k points nearest to each line in no order, point ``first + i`` being left out for line i.
+
+    There are more than k points.
+    """
     count = len(lines.direction)
     index = torch.empty(count, k, dtype=torch.int32, device=lines.direction.device)
     radius = torch.empty_like(lines.direction[:, 0])
@@ -77,13 +82,13 @@ def nearest_points(tree: PointTree, lines: Lines, k: int, progress: Progress, ti
             wanted = None if growth is None else growth * radius
             # One more than k, for the line's own point.
             for part, found in _blocks(tree, lines, rows, wanted, k + 1):
-                index[part] = _without_own(found.index, part)
+                index[part] = _without_own(found.index, part + first)
                 radius[part] = found.radius
                 missed.append(part[~found.enough])
                 advance(len(part) - len(missed[-1]))
             rows = torch.cat(missed)
         if len(rows):
-            index[rows] = _without_own(_among_all(tree, lines.rows(rows), k + 1).index, rows)
+            index[rows] = _without_own(_among_all(tree, lines.rows(rows), k + 1).index, rows + first)
             advance(len(rows))
     return index
 

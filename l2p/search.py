@@ -5,6 +5,9 @@ passes over a tile that fits the cache, followed by a selection of the k smalles
 a tile holds ``TILE`` numbers, the answer lines x k. Among ``MANY`` points, those nearest to lines are found by a tree
 (:mod:`l2p.point_search`).
 
+Lines may be shared out over processes (:mod:`l2p.sharding`): ``shards`` says which lines or points are queries, among
+all others.
+
 Self (query i against other i) is never a neighbour. Parallel pairs of lines have no distance. Rows are sorted by
 distance; where a query has fewer than k neighbours, the rest is index -1 at distance infinity. With k >= lines the
 answer has lines - 1 columns; a single line has none.
@@ -24,6 +27,7 @@ from l2p.point_neighbors import nearest_neighbors
 from l2p.point_search import nearest_points
 from l2p.point_tree import plant
 from l2p.progress import NO_PROGRESS, Progress
+from l2p.sharding import ALONE, Shards
 
 #: Numbers in one tile of distances: 8 MB in single precision, so that a tile and its temporaries stay near the cache.
 TILE = 1 << 21
@@ -43,7 +47,9 @@ class Nearest(NamedTuple):
 Kernel = Callable[[slice, slice], Float[Tensor, "rows columns"]]
 
 
-def nearest_lines_to_lines(lines: Lines, k: int, *, tile: int = TILE, progress: Progress = NO_PROGRESS) -> Nearest:
+def nearest_lines_to_lines(
+    lines: Lines, k: int, *, tile: int = TILE, progress: Progress = NO_PROGRESS, shards: Shards = ALONE
+) -> Nearest:
     """N_ll: the k lines with the smallest line-line distance to each line.
 
     Notes
@@ -60,8 +66,10 @@ def nearest_lines_to_lines(lines: Lines, k: int, *, tile: int = TILE, progress: 
         parallel = sine2 <= PARALLEL**2
         return reciprocal.square_().div_(sine2).masked_fill_(parallel, torch.inf)
 
-    index = _search(squared, len(lines.direction), k, lines.direction, tile, progress, "nearest lines to lines")
-    return _sorted(index, lambda rows, found: line_line_distance(lines.rows(rows), lines, found), tile)
+    own = shards.own(len(lines.direction))
+    index = _search(squared, own, len(lines.direction), k, lines.direction, tile, progress, "nearest lines to lines")
+    queries = lines.rows(own)
+    return _sorted(index, lambda rows, found: line_line_distance(queries.rows(rows), lines, found), tile)
 
 
 def nearest_points_to_lines(
@@ -72,6 +80,7 @@ def nearest_points_to_lines(
     scale: Float[Tensor, " lines"] | None = None,
     tile: int = TILE,
     progress: Progress = NO_PROGRESS,
+    shards: Shards = ALONE,
 ) -> Nearest:
     """N_pl: the k points nearest to each line; ``points[i]`` belongs to line i and is left out of its row.
 
@@ -85,8 +94,10 @@ def nearest_points_to_lines(
     """
     title = "nearest points to lines"
     unit = torch.ones_like(points[:, 0]) if scale is None else scale
+    own = shards.own(len(points))
+    queries = lines.rows(own)
     if len(points) >= max(MANY, 16 * k) and k > 0:
-        index = nearest_points(plant(points, unit), lines, k, progress, title)
+        index = nearest_points(plant(points, unit), queries, k, progress, title, own.start)
     else:
         left, right = _residual_factors(lines, points)
         right = right / unit[:, None]
@@ -94,11 +105,11 @@ def nearest_points_to_lines(
         def squared(rows: slice, columns: slice) -> Float[Tensor, "rows columns"]:
             return _sum_of_squares(left[:, rows], right[:, columns])
 
-        index = _search(squared, len(points), k, points, tile, progress, title)
+        index = _search(squared, own, len(points), k, points, tile, progress, title)
 
     def distance(rows: slice, found: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k"]:
         shape = (*found.shape, 3)
-        direction, moment = (part[rows][:, None].expand(shape) for part in lines)
+        direction, moment = (part[rows][:, None].expand(shape) for part in queries)
         near = found.clamp_min(0).flatten()
         place = points.index_select(0, near).view(shape)
         return point_line_distance(place, direction, moment) / unit.index_select(0, near).view(found.shape)
@@ -107,7 +118,13 @@ def nearest_points_to_lines(
 
 
 def nearest_lines_to_points(
-    points: Float[Tensor, "lines 3"], lines: Lines, k: int, *, tile: int = TILE, progress: Progress = NO_PROGRESS
+    points: Float[Tensor, "lines 3"],
+    lines: Lines,
+    k: int,
+    *,
+    tile: int = TILE,
+    progress: Progress = NO_PROGRESS,
+    shards: Shards = ALONE,
 ) -> Nearest:
     """N_lp: the k lines nearest to each point; line i belongs to ``points[i]`` and is left out of its row."""
     left, right = _residual_factors(lines, points)
@@ -115,25 +132,28 @@ def nearest_lines_to_points(
     def squared(rows: slice, columns: slice) -> Float[Tensor, "rows columns"]:
         return _sum_of_squares(right[:, rows], left[:, columns])
 
-    index = _search(squared, len(points), k, points, tile, progress, "nearest lines to points")
+    own = shards.own(len(points))
+    index = _search(squared, own, len(points), k, points, tile, progress, "nearest lines to points")
+    queries = points[own]
 
     def distance(rows: slice, found: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k"]:
         others = lines.rows(found.clamp_min(0).flatten())
         shape = (*found.shape, 3)
-        own = points[rows][:, None].expand(shape)
-        return point_line_distance(own, others.direction.view(shape), others.moment.view(shape))
+        here = queries[rows][:, None].expand(shape)
+        return point_line_distance(here, others.direction.view(shape), others.moment.view(shape))
 
     return _sorted(index, distance, tile)
 
 
-def nearest_points_to_points(points: Float[Tensor, "lines 3"], k: int) -> Nearest:
+def nearest_points_to_points(points: Float[Tensor, "lines 3"], k: int, *, shards: Shards = ALONE) -> Nearest:
     """The k points nearest to each point.
 
     Notes
     -----
     O(lines log lines) time by a k-d tree on the CPU.
     """
-    near = nearest_neighbors(points.cpu().double().numpy(), k, workers=torch.get_num_threads())
+    own = shards.own(len(points))
+    near = nearest_neighbors(points.cpu().double().numpy(), k, workers=torch.get_num_threads(), rows=own)
     return Nearest(
         torch.from_numpy(near.index).to(points.device, torch.int32),
         torch.from_numpy(near.distance).to(points.device, points.dtype),
@@ -166,20 +186,20 @@ def _sum_of_squares(
 
 
 def _search(
-    squared: Kernel, count: int, k: int, like: Tensor, tile: int, progress: Progress, title: str
+    squared: Kernel, own: slice, count: int, k: int, like: Tensor, tile: int, progress: Progress, title: str
 ) -> Int[Tensor, "queries k"]:
-    """Indices of the k smallest entries of each row of a virtual (count, count) matrix without its diagonal."""
+    """Indices of the k smallest entries of some rows of a virtual (count, count) matrix without its diagonal."""
     k = max(0, min(k, count - 1))
     # 32 bits: at 100 000 lines and 500 neighbours this is the largest array there is.
-    index = torch.full((count, k), -1, dtype=torch.int32, device=like.device)
+    index = torch.full((own.stop - own.start, k), -1, dtype=torch.int32, device=like.device)
     if k == 0:
         return index
     columns = max(min(count, _COLUMNS), k)
     rows = max(1, min(tile // columns, count))
-    with progress.task(title, total=count) as advance:
-        for begin in range(0, count, rows):
-            here = slice(begin, min(begin + rows, count))
-            index[here] = _search_rows(squared, here, count, k, columns)
+    with progress.task(title, total=len(index)) as advance:
+        for begin in range(own.start, own.stop, rows):
+            here = slice(begin, min(begin + rows, own.stop))
+            index[begin - own.start : here.stop - own.start] = _search_rows(squared, here, count, k, columns)
             advance(here.stop - begin)
     return index
 

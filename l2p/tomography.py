@@ -10,6 +10,10 @@ samples of a line.
 Resolution follows the data: cells are halved level by level along each line, keeping only the segments with the most
 posterior mass (:mod:`l2p.octree`), and the density of small cells that few lines support is shrunk to that of their
 ancestors (Polya tree). Time and memory are O(lines x segments), whatever the extent of the scene.
+
+Processes that share the lines (:mod:`l2p.sharding`) each have samples of their own lines and the density of all. What
+lines spread is added up in integers: unlike sums of rounded numbers they do not depend on the order, so neither does
+the answer on the number of processes.
 """
 
 from __future__ import annotations
@@ -25,11 +29,15 @@ from torch import Tensor
 from l2p.geometry import Lines
 from l2p.octree import Cells, children, interpolate, root, smooth, total
 from l2p.progress import NO_PROGRESS, Progress
+from l2p.sharding import ALONE, Shards
 
 #: Line samples in one block of work (times about 60 bytes of temporaries).
 SAMPLES = 1 << 20
 #: Mass of a cell that counts as none.
 EMPTY = 1e-12
+#: Mass is added up in whole numbers of this: far below the rounding of the numbers that are added, and a power of two,
+#: so that nothing else is rounded. The sums hold 2^28 lines.
+_GRAIN = 2.0**-34
 #: Logarithm of a density that stands for none.
 NOTHING = -27.6
 
@@ -111,7 +119,7 @@ class _Level(NamedTuple):
     """One resolution: its cells below all their ancestors, coarsest first, and each line's samples in the finest.
 
     ``shape`` is the prior's share of each cell in its parent, ``cell`` the row of each sample's cell, the number of
-    cells for a sample outside the box.
+    cells for a sample outside the box. Cells are those of all lines, samples those of the lines of this process.
     """
 
     cells: list[Cells]
@@ -120,34 +128,40 @@ class _Level(NamedTuple):
     beta: Float[Tensor, "lines m"]
 
 
-def reconstruct(lines: Lines, config: TomographyConfig | None = None, progress: Progress = NO_PROGRESS) -> Posterior:
+def reconstruct(
+    lines: Lines, config: TomographyConfig | None = None, progress: Progress = NO_PROGRESS, shards: Shards = ALONE
+) -> Posterior:
     """The posterior of each line's point, by expectation maximisation from coarse to fine.
 
     Parameters
     ----------
     lines : Lines
         In the working frame (:class:`l2p.frame.Frame`), along whose axes the grid lies; the unit does not matter.
+    shards : Shards
+        The answer is that of the lines of this process.
     """
-    return tomogram(lines, config, progress)[0]
+    return tomogram(lines, config, progress, shards)[0]
 
 
 def tomogram(
-    lines: Lines, config: TomographyConfig | None = None, progress: Progress = NO_PROGRESS
+    lines: Lines, config: TomographyConfig | None = None, progress: Progress = NO_PROGRESS, shards: Shards = ALONE
 ) -> tuple[Posterior, Density]:
-    """The posterior of each line's point and the density that it follows from."""
+    """The posterior of each line's point, of the lines of this process, and the density that it follows from."""
     config = config or TomographyConfig()
     half = _half_side(lines, config)
+    lines = lines.rows(shards.own(len(lines.direction)))
     level = _first_level(lines, half, config.start)
     density = level.beta.new_ones(config.start**3)
     with progress.task("tomography", total=config.levels * config.iterations) as advance:
         for depth in range(config.levels):
             if depth > 0:
-                level = _refined(lines, half, level, density, config.segments)
+                level = _refined(lines, half, level, density, config.segments, shards)
                 density = density.index_select(0, level.cells[-1].parent) * level.shape[-1]
             for _ in range(config.iterations):
-                density = _update(level, density, config)
+                density = _update(level, density, config, shards)
                 advance(1)
-            if _crowd(density) < config.crowd:
+            # Processors of another make may add it up to other digits, and all have to stop as one.
+            if float(shards.first(_crowd(density))) < config.crowd:
                 break
     mass = [density]
     for coarse, fine in zip(level.cells[-2::-1], level.cells[:0:-1], strict=True):
@@ -176,7 +190,9 @@ def _first_level(lines: Lines, half: float, side: int) -> _Level:
     return _Level([root(side, beta.device)], [beta.new_ones(0)], cell, beta)
 
 
-def _refined(lines: Lines, half: float, level: _Level, density: Float[Tensor, " cells"], segments: int) -> _Level:
+def _refined(
+    lines: Lines, half: float, level: _Level, density: Float[Tensor, " cells"], segments: int, shards: Shards
+) -> _Level:
     """The most probable segments of each line, each cut in two, and the halves of the cells that they cross."""
     keep = min(segments, level.cell.shape[1])
     above = level.cells[-1]
@@ -191,7 +207,7 @@ def _refined(lines: Lines, half: float, level: _Level, density: Float[Tensor, " 
         parent = level.cell[rows].gather(1, best).repeat_interleave(2, dim=1)
         place = _places(lines.rows(rows), half, 2 * above.side, beta[rows])
         code[rows] = above.octants(parent.flatten(), place.flatten(1)).view(parent.shape)
-    cells, row = children(above, code, SAMPLES)
+    cells, row = children(above, code, SAMPLES, shards)
     inherited = density.index_select(0, cells.parent)
     shape = interpolate(inherited / 8, cells) / inherited.clamp_min(EMPTY)
     return _Level([*level.cells[:-1], above.without_neighbors(), cells], [*level.shape, shape], row, beta)
@@ -205,18 +221,24 @@ def _places(lines: Lines, half: float, side: int, beta: Float[Tensor, "lines m"]
     return torch.stack([((x + half) * (side / (2 * half))).floor().clamp(-2, side + 1).int() for x in place])
 
 
-def _update(level: _Level, density: Float[Tensor, " cells"], config: TomographyConfig) -> Float[Tensor, " cells"]:
+def _update(
+    level: _Level, density: Float[Tensor, " cells"], config: TomographyConfig, shards: Shards = ALONE
+) -> Float[Tensor, " cells"]:
     """One EM update: forward projection, back projection, then the prior."""
-    mass = smooth(_back_projection(level, density), level.cells[-1], config.smoothing)
+    mass = smooth(_back_projection(level, density, shards), level.cells[-1], config.smoothing)
     return _shrink(mass, level.cells, level.shape, config.shrinkage)
 
 
-def _back_projection(level: _Level, density: Float[Tensor, " cells"]) -> Float[Tensor, " cells"]:
-    """The sum of what the lines spread: MLEM with a sensitivity of 1."""
-    mass = density.new_zeros(len(density) + 1)
+def _back_projection(
+    level: _Level, density: Float[Tensor, " cells"], shards: Shards = ALONE
+) -> Float[Tensor, " cells"]:
+    """The sum of what the lines spread, whatever their order: MLEM with a sensitivity of 1."""
+    mass = torch.zeros(len(density) + 1, dtype=torch.int64, device=density.device)
     for rows in _blocks(*level.cell.shape):
-        mass.index_add_(0, level.cell[rows].flatten(), _posterior(level, density, rows).flatten())
-    return mass[:-1]
+        spread = (_posterior(level, density, rows) / _GRAIN).long()
+        mass.scatter_add_(0, level.cell[rows].flatten().long(), spread.flatten())
+    shards.sum(mass)
+    return mass[:-1].to(density.dtype) * _GRAIN
 
 
 def _posterior(level: _Level, density: Float[Tensor, " cells"], rows: slice) -> Float[Tensor, "rows m"]:
@@ -251,9 +273,9 @@ def _shrink(
     return gain.index_select(0, parent) * (mass + strength * shape[-1])
 
 
-def _crowd(density: Float[Tensor, " cells"]) -> float:
+def _crowd(density: Float[Tensor, " cells"]) -> Float[Tensor, ""]:
     """Mass of the cell that a unit of mass is in, on average."""
-    return float(density.square().sum() / density.sum().clamp_min(torch.finfo(density.dtype).tiny))
+    return density.square().sum() / density.sum().clamp_min(torch.finfo(density.dtype).tiny)
 
 
 def _answer(lines: Lines, half: float, level: _Level, density: Float[Tensor, " cells"]) -> Posterior:

@@ -201,7 +201,11 @@ HEURISTIC = ("--method", "heuristic")
         ("out.npz", [*HEURISTIC, "--checkpoint", "good.safetensors"], "a checkpoint for method 'heuristic'; expected"),
         ("out.npz", ["--checkpoint", "good.safetensors", "--json", "good.safetensors"], "got good.safetensors twice"),
         ("out.npz", ["--min-confidence", "2"], "--min-confidence 2.0; expected a number in [0, 1]"),
-        ("out.npz", [*HEURISTIC, "--min-confidence", "1"], "no point has confidence 1.0; the highest is"),
+        (
+            "out.npz",
+            [*HEURISTIC, "--rounds", "0", "--min-confidence", "1"],
+            "no point has confidence 1.0; the highest is",
+        ),
         ("out.npz", ["--json", "out.npz"], "got out.npz twice"),
         ("out.npz", ["--json", "lines.npz"], "got lines.npz twice"),
         ("out.npz", ["--json", "truth.npz"], "truth.npz exists"),
@@ -246,7 +250,7 @@ def test_an_existing_output_is_refused_before_the_work(folder, capfd, monkeypatc
     def never(*words, **flags):
         raise AssertionError("the work has started")
 
-    monkeypatch.setattr(importlib.import_module("l2p.attack"), "recover", never)
+    monkeypatch.setattr(importlib.import_module("l2p.attack"), "run", never)
     refused(folder, capfd, "recover", "lines.npz", "-o", "recovery.npz")
     refused(folder, capfd, "recover", "lines.npz", "-o", "out.npz", "--json", "truth.npz")
 

@@ -307,7 +307,7 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path, lifted):
         def slow(*words, **flags):
             print("working", flush=True)
             time.sleep(60)
-        importlib.import_module("l2p.attack").recover = slow
+        importlib.import_module("l2p.attack").run = slow
         from l2p.cli import main
         sys.exit(main(sys.argv[1:]))
         """
@@ -341,6 +341,6 @@ def test_a_bug_is_not_hidden(tmp_path, lifted, monkeypatch):
     def broken(*words, **flags):
         raise ZeroDivisionError
 
-    monkeypatch.setattr(importlib.import_module("l2p.attack"), "recover", broken)
+    monkeypatch.setattr(importlib.import_module("l2p.attack"), "run", broken)
     with pytest.raises(ZeroDivisionError):
         run("recover", lifted[0], "-o", tmp_path / "out.npz")

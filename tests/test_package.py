@@ -23,13 +23,14 @@ LAZY = HEAVY - {"torch"}
 
 #: Each module may import those before it. Folders stand for all their files.
 ORDER = [
-    *("errors", "methods", "progress", "threads", "point_neighbors"),
+    *("errors", "methods", "progress", "threads", "sharding", "journal", "rounds", "processes", "point_neighbors"),
     *("lines", "geometry", "frame", "recovery", "scene"),
     *("lifting", "point_tree", "point_search", "search", "peak", "octree", "tomography", "neighborhoods"),
     *("surfaces", "features", "network", "learned", "checkpoint", "attack"),
     *("metrics", "oracles", "simulator", "clean"),
     *("curves", "provenance", "auditing"),
-    *("io", "tables", "pictures", "demo", "exhibit", "window", "page", "commands", "cli", "__main__"),
+    *("io", "tables", "pictures", "demo", "exhibit", "window", "page"),
+    *("outputs", "recovering", "commands", "cli", "__main__"),
 ]
 #: Calls like ``LineCloud.load`` that open a file: the only imports against the order, inside functions.
 DOORS = {("lines", "io"), ("recovery", "io"), ("scene", "io"), ("checkpoint", "io"), ("auditing", "page")}
