@@ -13,6 +13,7 @@ from l2p.checkpoint import load, shipped
 from l2p.errors import InputError
 from l2p.frame import Frame
 from l2p.lines import LineCloud
+from l2p.memory import allotted, room
 from l2p.methods import DEFAULT_METHOD, METHODS, SETTINGS
 from l2p.neighborhoods import Heuristic, HeuristicConfig, Method, TomographicConfig, Tomography
 from l2p.progress import NO_PROGRESS, Progress
@@ -28,6 +29,7 @@ def recover(
     scene_kind: str | None = None,
     density: float | None = None,
     device: str = "cpu",
+    memory: float | None = None,
     progress: Progress = NO_PROGRESS,
 ) -> Recovery:
     """Recover the points behind a line cloud.
@@ -52,6 +54,10 @@ def recover(
         than a spacing of the points behind the lines. ``tomography`` has no use for it.
     device : str
         A torch device.
+    memory : float, optional
+        GiB that the attack may take beyond what the process holds already; four fifths of what is free when left out.
+        Work is done in blocks that fit; the answer does not depend on it. Of a device that is not the CPU, nothing is
+        known when it is left out.
     progress : Progress
         Shows how far the work is.
 
@@ -66,7 +72,7 @@ def recover(
         If there is no such checkpoint.
     InputError
         If the line cloud is empty, the method or the device is unknown, the method has no such setting or it is out of
-        range, or the checkpoint cannot be used.
+        range, the checkpoint cannot be used, or the lines do not fit into the memory.
 
     Examples
     --------
@@ -76,7 +82,7 @@ def recover(
     (200,)
     """
     chosen = named_method(method, checkpoint=checkpoint, rounds=rounds, scene_kind=scene_kind, density=density)
-    return run(lines, chosen, device=device, progress=progress, name=method)
+    return run(lines, chosen, device=device, memory=memory, progress=progress, name=method)
 
 
 def named_method(
@@ -106,15 +112,27 @@ def named_method(
 
 
 def run(
-    lines: LineCloud, method: Method, *, device: str = "cpu", progress: Progress = NO_PROGRESS, name: str = ""
+    lines: LineCloud,
+    method: Method,
+    *,
+    device: str = "cpu",
+    memory: float | None = None,
+    progress: Progress = NO_PROGRESS,
+    name: str = "",
 ) -> Recovery:
-    """Run any method, an attack, a bound or a user's own, on a line cloud."""
+    """Run any method, an attack, a bound or a user's own, on a line cloud.
+
+    ``memory`` (GiB) bounds methods that say how many bytes they hold of each line, in an attribute ``line_bytes``.
+    """
     if len(lines) == 0:
         raise InputError("got a line cloud without lines; expected at least one line")
     where = usable_device(device)
+    size, line_bytes = None, getattr(method, "line_bytes", None)
+    if line_bytes is not None and (memory is not None or where.type == "cpu"):
+        size = allotted(memory, len(lines), line_bytes)
     began = time.perf_counter()
     frame = Frame.of(lines)
-    with torch.inference_mode():
+    with torch.inference_mode(), room(size):
         inside = frame.enter(lines, where)
         estimate = method.locate(inside, frame, progress)
     beta = frame.leave(lines, estimate.beta)

@@ -51,8 +51,8 @@ FAMILIES = {
 }
 #: A line nearer to parallel with a surface than this (cosine to the normal) is taken to cut it at this slope.
 _GRAZING = 0.05
-#: Estimates whose surroundings are looked at at a time.
-_BLOCK = 1 << 12
+#: Most estimates whose surroundings are looked at at a time, and bytes of temporaries of each.
+_BLOCK, _ROW_BYTES = 1 << 12, 120 * WIDE
 #: The cut counts as no farther from the foot than this many local scales.
 _FARTHEST_CUT = 3.0
 
@@ -134,7 +134,7 @@ def surroundings(
         surface = _fitted(places[:, :fine], weight[:, :fine])
         return reach, weight[:, :fine].mean(dim=1), surface, _fitted(places, weight)
 
-    parts = [part for _, part in over_blocks(around, len(place), _BLOCK)]
+    parts = [part for _, part in over_blocks(around, len(place), _BLOCK, row_bytes=_ROW_BYTES)]
     reaches, crowds, surfaces, wides = zip(*parts, strict=True)
     reach = torch.cat(reaches)
     # Coinciding estimates have no scale of their own; the scene's typical one stands in.

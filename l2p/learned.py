@@ -26,6 +26,7 @@ from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
 from l2p.search import nearest_points_to_lines, nearest_points_to_points
 from l2p.threads import over_blocks
+from l2p.tomography import LINE_BYTES as TOMOGRAPHY_BYTES
 from l2p.tomography import Posterior, TomographyConfig, mass_within, modes, reconstruct
 
 #: Of the radii, the one that the lines around are told the confidence of.
@@ -109,6 +110,7 @@ def judge_round(
     beta, state = nodes.beta.clone(), torch.zeros_like(nodes.state)
     affinity = torch.zeros_like(candidates, dtype=beta.dtype)
     sure = beta.new_full((count, len(RADII)), NOTHING)
+    row_bytes = judging_bytes(network, candidates.shape[1])
 
     def judged(block: slice) -> tuple[Judgement, Tensor]:
         rows = torch.arange(block.start, block.stop, device=candidates.device)
@@ -117,12 +119,18 @@ def judge_round(
 
     with progress.task("affinities", total=count) as advance:
         if candidates.shape[1]:
-            for block, (judgement, moved) in over_blocks(judged, count, config.batch, candidates.device):
+            for block, (judgement, moved) in over_blocks(judged, count, config.batch, candidates.device, row_bytes):
                 beta[block] += moved
                 state[block], sure[block] = judgement.state, judgement.sure
                 affinity[block] = torch.sigmoid(judgement.affinity)
                 advance(block.stop - block.start)
     return Round(surroundings(lines, beta, told(sure), state), candidates, affinity, sure)
+
+
+def judging_bytes(network: LineTransformer, k: int) -> float:
+    """Temporaries of a line with k candidates: kernels of all pairs of them for each head, and their tokens."""
+    width, heads = network.config.width, network.config.heads
+    return 4 * k * (k * (heads + 4) + 12 * width + 300)
 
 
 def told(sure: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:
@@ -199,6 +207,11 @@ class Learned:
         calibration = found.sure.new_tensor(self.calibration[self.config.rounds - 1])
         logit = (calibration[:, 0] * found.sure + calibration[:, 1]).cummax(dim=1).values
         return torch.sigmoid(_between(logit, math.log(spacing_ratio(found.nodes.point, self.density))))
+
+    @property
+    def line_bytes(self) -> float:
+        """What is held of each line (``benchmarks/memory.py``)."""
+        return max(TOMOGRAPHY_BYTES, 4000 + 40 * self.config.candidates)
 
     def settings(self) -> dict[str, Any]:
         """Rounds, candidates, size of the network, density."""

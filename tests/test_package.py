@@ -23,7 +23,7 @@ LAZY = HEAVY - {"torch"}
 
 #: Each module may import those before it. Folders stand for all their files.
 ORDER = [
-    *("errors", "methods", "progress", "threads", "point_neighbors"),
+    *("errors", "methods", "progress", "memory", "threads", "point_neighbors"),
     *("lines", "geometry", "frame", "recovery", "scene"),
     *("lifting", "point_tree", "point_search", "search", "peak", "octree", "tomography", "neighborhoods"),
     *("features", "network", "learned", "checkpoint", "attack"),
