@@ -119,9 +119,8 @@ class Store:
                 self._sweep()
 
     def _sweep(self) -> None:
-        for folder in (self.folder, self.predictions, self.scores):
-            for left in folder.glob(".l2p-*.tmp"):
-                left.unlink(missing_ok=True)
+        for left in self.folder.rglob(".l2p-*.tmp"):
+            left.unlink(missing_ok=True)
 
     def check(self, cells: Sequence[Cell]) -> None:
         """Refuse to mix: every prediction that is there must have been made with the settings of its cell."""

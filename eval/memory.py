@@ -8,10 +8,11 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-CGROUP = Path("/sys/fs/cgroup")
-STATUS, MEMINFO, CLEAR = Path("/proc/self/status"), Path("/proc/meminfo"), Path("/proc/self/clear_refs")
+from l2p.memory import free_bytes
+
+STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 #: Memory of a process with torch loaded, and what each line of its cell adds: above what every method of l2p takes
-#: (tomography 3 KiB a line, heuristic 5, learned 18).
+#: (``line_bytes``: 5 to 9 KiB).
 PROCESS_GIB = 0.5
 LINE_GIB = 20 / 2**20
 
@@ -39,15 +40,9 @@ def cores() -> int:
 
 
 def free_gib() -> float:
-    """Memory that is free or can be freed, in a container what it may still take; all of it if nothing is known."""
-    free = _entry(MEMINFO, "MemAvailable")
-    if free is None:
-        free = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    try:
-        limit, taken = (int((CGROUP / name).read_text(encoding="ascii")) for name in ("memory.max", "memory.current"))
-    except (OSError, ValueError):  # no container, or one without a limit: "max"
-        return free
-    return min(free, (limit - taken) / 2**30)
+    """Memory that is free or can be freed, in a container what it may still take; without end if nothing is known."""
+    free = free_bytes()
+    return float("inf") if free is None else free / 2**30
 
 
 @contextmanager

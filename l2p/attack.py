@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
 from os import PathLike
 from typing import Any
@@ -17,6 +18,7 @@ from l2p.errors import InputError
 from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.lines import LineCloud
+from l2p.memory import allotted, room
 from l2p.methods import DEFAULT_METHOD, METHODS, SETTINGS
 from l2p.neighborhoods import Heuristic, HeuristicConfig, Method, MethodInRounds, TomographicConfig, Tomography
 from l2p.progress import NO_PROGRESS, Progress
@@ -34,6 +36,7 @@ def recover(
     scene_kind: str | None = None,
     density: float | None = None,
     device: str = "cpu",
+    memory: float | None = None,
     progress: Progress = NO_PROGRESS,
 ) -> Recovery:
     """Recover the points behind a line cloud.
@@ -58,6 +61,10 @@ def recover(
         than a spacing of the points behind the lines. ``tomography`` has no use for it.
     device : str
         A torch device.
+    memory : float, optional
+        GiB that the attack may take beyond what the process holds already; four fifths of what is free when left out.
+        Work is done in blocks that fit; the answer does not depend on it. Of a device that is not the CPU, nothing is
+        known when it is left out.
     progress : Progress
         Shows how far the work is.
 
@@ -72,7 +79,7 @@ def recover(
         If there is no such checkpoint.
     InputError
         If the line cloud is empty, the method or the device is unknown, the method has no such setting or it is out of
-        range, or the checkpoint cannot be used.
+        range, the checkpoint cannot be used, or the lines do not fit into the memory.
 
     Examples
     --------
@@ -82,7 +89,7 @@ def recover(
     (200,)
     """
     chosen = named_method(method, checkpoint=checkpoint, rounds=rounds, scene_kind=scene_kind, density=density)
-    return run(lines, chosen, device=device, progress=progress, name=method)
+    return run(lines, chosen, device=device, memory=memory, progress=progress, name=method)
 
 
 def named_method(
@@ -116,24 +123,27 @@ def run(
     method: Method,
     *,
     device: str = "cpu",
+    memory: float | None = None,
     progress: Progress = NO_PROGRESS,
     name: str = "",
     rounds: Rounds | None = None,
 ) -> Recovery:
     """Run any method, an attack, a bound or a user's own, on a line cloud.
 
-    With ``rounds``, several processes share the lines of this one, the first, while :func:`assist` runs in the others;
-    and the run goes on from the last round in the journal.
+    ``memory`` (GiB a process) bounds methods that say how many bytes they hold of each line, in an attribute
+    ``line_bytes``. With ``rounds``, several processes share the lines of this one, the first, while :func:`assist` runs
+    in the others; and the run goes on from the last round in the journal.
     """
     if len(lines) == 0:
         raise InputError("got a line cloud without lines; expected at least one line")
     where = usable_device(device)
+    size = _room(method, where, memory, len(lines), 1 if rounds is None else rounds.shards.processes)
     began = time.perf_counter()
     if rounds is not None:
         rounds.shards.check(len(lines))
         rounds.journal.begin(_about(lines, method, name))
     frame = Frame.of(lines)
-    with torch.inference_mode():
+    with torch.inference_mode(), room(size):
         inside = frame.enter(lines, where)
         if rounds is None:
             estimate = method.locate(inside, frame, progress)
@@ -159,7 +169,7 @@ def run(
     )
 
 
-def assist(method: Method, shards: Shards, *, device: str = "cpu") -> None:
+def assist(method: Method, shards: Shards, *, device: str = "cpu", memory: float | None = None) -> None:
     """Do the share of this process, another than the first, of what :func:`run` does in the first one.
 
     Raises
@@ -170,7 +180,16 @@ def assist(method: Method, shards: Shards, *, device: str = "cpu") -> None:
     where, sharing = usable_device(device), _in_rounds(method)
     with torch.inference_mode():
         lines, frame = _told(shards, method, where)
-        sharing.locate_in_rounds(lines, frame, NO_PROGRESS, Rounds(shards))
+        with room(_room(method, where, memory, len(lines.direction), shards.processes)):
+            sharing.locate_in_rounds(lines, frame, NO_PROGRESS, Rounds(shards))
+
+
+def _room(method: Method, where: torch.device, memory: float | None, lines: int, processes: int) -> int | None:
+    """Bytes that blocks have in this process; None where nothing bounds them."""
+    line_bytes = getattr(method, "line_bytes", None)
+    if line_bytes is None or (memory is None and where.type != "cpu"):
+        return None
+    return allotted(memory, math.ceil(lines / processes), line_bytes)
 
 
 def _in_rounds(method: Method) -> MethodInRounds:

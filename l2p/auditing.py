@@ -184,6 +184,7 @@ def audit(
     checkpoint: str | PathLike[str] | None = None,
     metric: bool = False,
     device: str = "cpu",
+    memory: float | None = None,
     progress: Progress = NO_PROGRESS,
     name: str = "map",
 ) -> Audit:
@@ -197,7 +198,7 @@ def audit(
         Shares of the points to lift, in (0, 1]; :data:`FRACTIONS` when left out. Not with a line cloud.
     seed : int
         Of the liftings. No line cloud of the audit is kept: one that is published is lifted without a seed.
-    method, checkpoint, device
+    method, checkpoint, device, memory
         As of :func:`l2p.recover`.
     metric : bool
         The scene is in metres.
@@ -225,7 +226,7 @@ def audit(
     >>> [len(trial) for trial in found.trials]
     [200, 100]
     """
-    settings = {"method": method, "checkpoint": checkpoint, "device": device}
+    settings = {"method": method, "checkpoint": checkpoint, "device": device, "memory": memory}
     if isinstance(scene, LineCloud):
         if fractions is not None:
             raise InputError("got fractions for a line cloud; expected none, since it is attacked as it is")

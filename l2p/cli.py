@@ -155,6 +155,7 @@ def _add_recover(commands: Any) -> None:
         action="store_true",
         help="go on from the last finished round of a run that was ended, which OUT.state has; without one, begin",
     )
+    _add_memory(recover)
     _add_json(recover, "STATS", "settings, seconds and confidences")
     _add_force(recover)
 
@@ -217,6 +218,7 @@ def _add_audit(commands: Any) -> None:
     audit.add_argument("--open", action="store_true", help="show the page in the browser, where there is a display")
     audit.add_argument("--device", default="cpu", help="torch device (default: %(default)s)")
     audit.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
+    _add_memory(audit)
     _add_json(audit, "FILE", "the figures of audit.json")
     _add_force(audit)
 
@@ -256,6 +258,16 @@ def _seed(word: str) -> int:
     if not 0 <= value < 2**63:
         raise argparse.ArgumentTypeError(f"got {word}; expected 0 to 2^63 - 1")
     return value
+
+
+def _add_memory(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--memory",
+        type=float,
+        metavar="GIB",
+        help="most memory that the attack may take beyond what the program holds anyway; sets how much is done at a "
+        "time, never what comes out (default: four fifths of what is free)",
+    )
 
 
 def _add_json(command: argparse.ArgumentParser, metavar: str, what: str) -> None:

@@ -85,6 +85,7 @@ def audit(arguments: Namespace) -> None:
         checkpoint=arguments.checkpoint,
         metric=arguments.metric,
         device=arguments.device,
+        memory=arguments.memory,
         progress=terminal_progress(),
         name=_shown(arguments.scene),
     )
@@ -190,7 +191,7 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
         words += ["--fractions", *(f"{share:.15g}" for share in arguments.fractions)]
     words += [] if lines_given else ["--seed", str(arguments.seed)]
     words += ["--method", arguments.method]
-    for flag in ("checkpoint", "device", "threads"):
+    for flag in ("checkpoint", "device", "threads", "memory"):
         value = getattr(arguments, flag)
         words += [] if value is None else [f"--{flag}", str(value)]
     words += ["--metric"] if arguments.metric else []

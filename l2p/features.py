@@ -51,8 +51,8 @@ FAMILIES = {
     "surface": _SURFACE,
     "wide_surface": _WIDE_SURFACE,
 }
-#: Estimates whose surroundings are looked at at a time.
-_BLOCK = 1 << 12
+#: Most estimates whose surroundings are looked at at a time, and bytes of temporaries of each.
+_BLOCK, _ROW_BYTES = 1 << 12, 160 * WIDE
 #: The cut counts as no farther from the foot than this many local scales.
 _FARTHEST_CUT = 3.0
 
@@ -125,7 +125,7 @@ def surroundings(
         surface, wider = (fitted(local[some], direction[some], sure[some]) for some in (close, wide))
         return reach, sure[close].mean(dim=1), surface, wider
 
-    parts = [part for _, part in over_blocks(around, len(own), _BLOCK)]
+    parts = [part for _, part in over_blocks(around, len(own), _BLOCK, row_bytes=_ROW_BYTES)]
     reaches, crowds, surfaces, wides = zip(*parts, strict=True)
 
     def of_all(parts: Sequence[Tensor]) -> Tensor:

@@ -28,6 +28,7 @@ from l2p.rounds import Rounds
 from l2p.search import nearest_points_to_lines
 from l2p.sharding import ALONE, Shards
 from l2p.threads import over_blocks
+from l2p.tomography import LINE_BYTES as TOMOGRAPHY_BYTES
 from l2p.tomography import Posterior, TomographyConfig, mass_within, modes, reconstruct
 
 #: Of the radii, the one that the lines around are told the confidence of.
@@ -117,6 +118,7 @@ def judge_round(
     beta, state = nodes.beta[own].clone(), torch.zeros_like(nodes.state[own])
     affinity = torch.zeros_like(candidates, dtype=beta.dtype)
     sure = beta.new_full((count, len(RADII)), NOTHING)
+    row_bytes = judging_bytes(network, candidates.shape[1])
 
     def judged(block: slice) -> tuple[Judgement, Tensor]:
         rows = torch.arange(own.start + block.start, own.start + block.stop, device=candidates.device)
@@ -125,13 +127,19 @@ def judge_round(
 
     with progress.task("affinities", total=count) as advance:
         if candidates.shape[1]:
-            for block, (judgement, moved) in over_blocks(judged, count, config.batch, candidates.device):
+            for block, (judgement, moved) in over_blocks(judged, count, config.batch, candidates.device, row_bytes):
                 beta[block] += moved
                 state[block], sure[block] = judgement.state, judgement.sure
                 affinity[block] = torch.sigmoid(judgement.affinity)
                 advance(block.stop - block.start)
     beta, confidence, state = (shards.gather(part, len(nodes.beta)) for part in (beta, told(sure), state))
     return Round(surroundings(lines, beta, confidence, state, shards), candidates, affinity, sure)
+
+
+def judging_bytes(network: LineTransformer, k: int) -> float:
+    """Temporaries of a line with k candidates: kernels of all pairs of them for each head, and their tokens."""
+    width, heads = network.config.width, network.config.heads
+    return 4 * k * (k * (heads + 4) + 12 * width + 300)
 
 
 def told(sure: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:
@@ -227,6 +235,11 @@ class Learned:
         calibration = found.sure.new_tensor(self.calibration[self.config.rounds - 1])
         logit = (calibration[:, 0] * found.sure + calibration[:, 1]).cummax(dim=1).values
         return torch.sigmoid(_between(logit, math.log(spacing_ratio(self.density))))
+
+    @property
+    def line_bytes(self) -> float:
+        """What is held of each line (``benchmarks/memory.py``)."""
+        return max(TOMOGRAPHY_BYTES, 4000 + 40 * self.config.candidates)
 
     def settings(self) -> dict[str, Any]:
         """Rounds, candidates, size of the network, density."""

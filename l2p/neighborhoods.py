@@ -19,6 +19,7 @@ from torch import Tensor
 from l2p.errors import InputError
 from l2p.frame import Frame
 from l2p.geometry import Lines, closest_points
+from l2p.memory import fitting
 from l2p.methods import SCENE_KINDS
 from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
@@ -30,10 +31,11 @@ from l2p.search import (
     nearest_points_to_points,
 )
 from l2p.sharding import ALONE, Shards
+from l2p.tomography import LINE_BYTES as TOMOGRAPHY_BYTES
 from l2p.tomography import TomographyConfig, mass_within, modes, reconstruct
 
-#: Votes in one block of the peak search (times about 60 bytes of temporaries).
-VOTES = 1 << 21
+#: Most votes in one block of the peak search, and bytes of temporaries of each.
+VOTES, _VOTE_BYTES = 1 << 21, 60
 
 
 class Estimate(NamedTuple):
@@ -173,9 +175,9 @@ def _apart(
 
 
 def _blocks(neighbors: Int[Tensor, "lines k"]) -> list[slice]:
-    """Slices of lines, each with about ``VOTES`` votes."""
+    """Slices of lines, each with at most about ``VOTES`` votes."""
     count, k = neighbors.shape
-    rows = max(1, VOTES // max(k, 1))
+    rows = max(1, fitting(VOTES, _VOTE_BYTES) // max(k, 1))
     return [slice(begin, min(begin + rows, count)) for begin in range(0, count if k else 0, rows)]
 
 
@@ -267,6 +269,11 @@ class Heuristic:
         enough = both.sum(dim=1, keepdim=True) > self.config.intersection
         return near_line.masked_fill(~both & enough, -1)
 
+    @property
+    def line_bytes(self) -> float:
+        """What is held of each line (``benchmarks/memory.py``)."""
+        return 1000 + 24 * self.config.coarse
+
     def settings(self) -> dict[str, Any]:
         """The configuration, and the neighbour counts that it led to."""
         return {**asdict(self.config), "coarse": self.config.coarse, "fine": self.config.fine}
@@ -332,6 +339,11 @@ class Tomography:
         radius = 2 * float(distance.median()) if distance.numel() else 0.0
         own = beta[shards.own(count)]
         return Estimate(own, mass_within(posterior, own, radius), near.index, _equal(lines, near.index))
+
+    @property
+    def line_bytes(self) -> float:
+        """What is held of each line (``benchmarks/memory.py``)."""
+        return TOMOGRAPHY_BYTES
 
     def settings(self) -> dict[str, Any]:
         """The configuration."""

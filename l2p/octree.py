@@ -44,7 +44,7 @@ class Cells(NamedTuple):
 
     def without_neighbors(self) -> Cells:
         """The family tree alone, which is all that ancestors are needed for."""
-        nobody = self.place[:, :0]
+        nobody = self.place.new_empty(3, 0)  # not a view, which would keep all places
         return self._replace(place=nobody, after=nobody, before=nobody)
 
     def octants(self, row: Int[Tensor, " samples"], place: Int[Tensor, "3 samples"]) -> Int[Tensor, " samples"]:
@@ -105,6 +105,7 @@ def children(
         occupied[part[part >= 0]] = True
     shards.either(occupied)
     octant = torch.nonzero(occupied).flatten().int()
+    del occupied
     count = len(octant)
     # A parent that is not there has no children; neither has the octant -1.
     child = torch.full((8 * parents + 8,), count, dtype=torch.int32, device=code.device)
@@ -112,14 +113,17 @@ def children(
     for part in code.view(-1).split(samples):
         part.copy_(child.index_select(0, part.remainder(8 * parents + 8)))
     parent = octant >> 3
-    half = torch.stack([octant >> 2 & 1, octant >> 1 & 1, octant & 1])
-    place = 2 * above.place.index_select(1, parent) + half
+    place = above.place.index_select(1, parent).mul_(2)
     after, before = torch.empty_like(place), torch.empty_like(place)
-    for axis in range(3):
-        for rows, beyond, inner in ((after, above.after, 0), (before, above.before, 1)):
-            # The other half of the same parent, or the near half of the parent beyond.
-            other = torch.where(half[axis] == inner, parent, beyond[axis].index_select(0, parent))
-            rows[axis] = child.index_select(0, 8 * other + (octant & 7 ^ 4 >> axis))
+    for begin in range(0, count, samples):
+        part = slice(begin, begin + samples)
+        for axis in range(3):
+            half = octant[part] >> (2 - axis) & 1
+            place[axis, part] += half
+            for rows, beyond, inner in ((after, above.after, 0), (before, above.before, 1)):
+                # The other half of the same parent, or the near half of the parent beyond.
+                other = torch.where(half == inner, parent[part], beyond[axis].index_select(0, parent[part]))
+                rows[axis, part] = child.index_select(0, 8 * other + (octant[part] & 7 ^ 4 >> axis))
     return Cells(2 * above.side, place, after, before, octant), code
 
 

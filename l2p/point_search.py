@@ -24,12 +24,15 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from l2p.geometry import Lines
+from l2p.memory import fitting
 from l2p.point_tree import Pairs, PointTree, reach
 from l2p.progress import Progress
 
 #: Most lines of a block, and most pairs of its lines with leaves, and with points; where there are more, blocks become
-#: smaller. A pair takes about 40 bytes of temporaries.
+#: smaller.
 _BLOCK, _PAIRS = 1 << 15, 1 << 22
+#: Bytes of temporaries of a line and of a pair, each twice what it takes: both are there together.
+_LINE_BYTES, _PAIR_BYTES = 3200, 80
 #: A block with no more pairs of lines and points than this is measured whole rather than made smaller.
 _ALL = 1 << 26
 #: Distances in a tile, which fits the cache.
@@ -58,11 +61,16 @@ class _Hits(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """The k nearest points of each line where there are ``enough`` within its ``radius``."""
+    """The k nearest points of each line where there are ``enough`` within its ``radius``.
+
+    ``pairs`` and ``hits`` are the numbers of leaves and of points that were reached.
+    """
 
     index: Int[Tensor, "lines k"]
     enough: Bool[Tensor, " lines"]
     radius: Float[Tensor, " lines"]
+    pairs: int = 0
+    hits: int = 0
 
 
 def nearest_points(
@@ -102,9 +110,9 @@ def _blocks(
         part = rows[begin : begin + block]
         some = lines.rows(part)
         if radius is None:
-            found = _within(tree, some, _guess(tree, some, k), k, tighten=True)
+            found = _in_pieces(tree, some, _guess(tree, some, k), k, tighten=True)
         else:
-            found = _within(tree, some, radius[part], k, tighten=False)
+            found = _in_pieces(tree, some, radius[part], k, tighten=False)
         if found is None and len(part) > 1 and len(part) * tree.index.numel() > _ALL:
             block = len(part) // 2
             continue
@@ -161,24 +169,55 @@ def _guess(tree: PointTree, lines: Lines, k: int) -> Float[Tensor, " lines"]:
     return radius * (1 + 1e-5) + 1e-6 * radius.median() + torch.finfo(radius.dtype).tiny ** 0.25
 
 
-def _within(tree: PointTree, lines: Lines, radius: Float[Tensor, " lines"], k: int, *, tighten: bool) -> _Found | None:
-    """The k nearest points within a radius, which ``tighten`` may make smaller; None where these are too many pairs."""
+def _in_pieces(
+    tree: PointTree, lines: Lines, radius: Float[Tensor, " lines"], k: int, *, tighten: bool
+) -> _Found | None:
+    """What ``_within`` finds for a block, by as many of its lines at a time as there is room for.
+
+    None where the whole block has too many pairs: whether all points are measured must not depend on the room.
+    """
+    most = fitting(_PAIRS, _PAIR_BYTES)
+    left = list(torch.arange(len(radius), device=radius.device).split(fitting(_BLOCK, _LINE_BYTES)))[::-1]
+    parts: list[_Found] = []
+    while left:
+        rows = left.pop()
+        limit = most if len(rows) > 1 else _PAIRS
+        found = _within(tree, lines.rows(rows), radius[rows], k, limit, tighten=tighten)
+        if found is not None:
+            parts.append(found)
+            if max(sum(part.pairs for part in parts), sum(part.hits for part in parts)) > _PAIRS:
+                return None
+        elif limit < _PAIRS:
+            left += rows.split((len(rows) + 1) // 2)[::-1]
+        else:
+            return None
+    if len(parts) == 1:
+        return parts[0]
+    index, enough, reached = (torch.cat(column) for column in list(zip(*parts, strict=True))[:3])
+    return _Found(index, enough, reached)
+
+
+def _within(
+    tree: PointTree, lines: Lines, radius: Float[Tensor, " lines"], k: int, most: int, *, tighten: bool
+) -> _Found | None:
+    """The k nearest points within a radius, which ``tighten`` may make smaller; None for more than ``most`` pairs."""
     count = len(radius)
-    pairs = reach(tree, lines, radius, _PAIRS)
+    pairs = reach(tree, lines, radius, most)
     if pairs is None:
         return None
+    reached = len(pairs.line)
     projection = _projection(lines)
     if tighten:
         smaller = radius * _tighten(tree, projection / radius[:, None], pairs, k)
         keep = torch.nonzero(pairs.margin >= (radius - smaller).index_select(0, pairs.line)).flatten()
         pairs = Pairs(*(part.index_select(0, keep) for part in pairs))
         radius = smaller
-    hits = _measure(tree, projection / radius[:, None], pairs)
+    hits = _measure(tree, projection / radius[:, None], pairs, most)
     if hits is None:
         return None
     place, enough = _choose(hits, k, count)
     index = tree.index.view(-1).index_select(0, place.flatten()).view(count, k)
-    return _Found(index, enough, radius)
+    return _Found(index, enough, radius, reached, len(hits.place))
 
 
 def _tiles(
@@ -221,8 +260,8 @@ def _tighten(tree: PointTree, projection: Float[Tensor, "lines 8"], pairs: Pairs
     return ((below.sum(dim=1) + 1) / _STEPS).clamp_max(1).to(projection.dtype)
 
 
-def _measure(tree: PointTree, projection: Float[Tensor, "lines 8"], pairs: Pairs) -> _Hits | None:
-    """The points within the radius, which is 1 in the projection's units; None where these are too many pairs."""
+def _measure(tree: PointTree, projection: Float[Tensor, "lines 8"], pairs: Pairs, most: int) -> _Hits | None:
+    """The points within the radius, which is 1 in the projection's units; None where these are more than ``most``."""
     width = tree.points.shape[2]
     parts = [_Hits(pairs.line[:0], pairs.line[:0].long(), pairs.line[:0], projection[:0, 0])]
     found = 0
@@ -236,7 +275,7 @@ def _measure(tree: PointTree, projection: Float[Tensor, "lines 8"], pairs: Pairs
         square = square.view(-1).index_select(0, near)
         parts.append(_Hits(line.index_select(0, run), length.index_select(0, run), place, square))
         found += len(near)
-        if found > _PAIRS:
+        if found > most:
             return None
     return _Hits(*map(torch.cat, zip(*parts, strict=True)))
 

@@ -48,7 +48,7 @@ def recover(arguments: Namespace) -> None:
             from l2p.attack import assist
 
             set_threads(arguments.threads)
-            assist(_method(arguments), place.shards, device=place.device)
+            assist(_method(arguments), place.shards, device=place.device, memory=arguments.memory)
 
 
 def _recover(arguments: Namespace, place: Place) -> None:
@@ -70,6 +70,7 @@ def _recover(arguments: Namespace, place: Place) -> None:
         lines,
         method,
         device=place.device,
+        memory=arguments.memory,
         progress=terminal_progress(),
         name=arguments.method,
         rounds=Rounds(place.shards, state),

@@ -7,12 +7,17 @@ too small for that: on a busy machine, or with ``OMP_WAIT_POLICY=PASSIVE``, two 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
 import torch
 
+from l2p.memory import fitting
+
+#: Blocks that wait for each thread, done or to be done, so that no thread waits for one.
+_AHEAD = 2
 #: Threads that can be asked for: OpenMP crashes the process where the system does not give it as many.
 MOST_THREADS = 1024
 
@@ -20,18 +25,20 @@ Found = TypeVar("Found")
 
 
 def over_blocks(
-    work: Callable[[slice], Found], count: int, size: int, device: torch.device | None = None
+    work: Callable[[slice], Found], count: int, size: int, device: torch.device | None = None, row_bytes: float = 0
 ) -> Iterator[tuple[slice, Found]]:
     """What ``work`` makes of each block of ``size`` of ``count`` rows, in order.
 
-    As many blocks at a time as torch has threads; one after the other on a device that is not the CPU. Torch has one
-    thread meanwhile. The answer does not depend on the number of threads.
+    As many blocks at a time as torch has threads, or as there is room for (:mod:`l2p.memory`) at ``row_bytes`` of
+    temporaries a row; one after the other on a device that is not the CPU. Torch has one thread meanwhile. The answer
+    does not depend on the number of threads.
 
     Raises
     ------
     Exception
         What ``work`` raises; no block is begun after it.
     """
+    size = fitting(size, row_bytes)
     blocks = [slice(begin, min(begin + size, count)) for begin in range(0, count, size)]
     threads = torch.get_num_threads()
     if threads == 1 or len(blocks) < 2 or (device is not None and device.type != "cpu"):
@@ -44,10 +51,22 @@ def over_blocks(
         with torch.inference_mode(inference), torch.set_grad_enabled(gradients):
             return work(block)
 
-    pool = ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,))
+    workers = fitting(threads, size * row_bytes)
+    pool = ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,))
     torch.set_num_threads(1)
+    begun: deque[tuple[slice, Future[Found]]] = deque()
     try:
-        yield from zip(blocks, pool.map(worked, blocks), strict=True)
+        for block in blocks:
+            begun.append((block, pool.submit(worked, block)))
+            if len(begun) > _AHEAD * workers:
+                yield _ended(begun)
+        while begun:
+            yield _ended(begun)
     finally:
         pool.shutdown(cancel_futures=True)
         torch.set_num_threads(threads)
+
+
+def _ended(begun: deque[tuple[slice, Future[Found]]]) -> tuple[slice, Found]:
+    block, future = begun.popleft()
+    return block, future.result()

@@ -27,12 +27,15 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from l2p.geometry import Lines
+from l2p.memory import fitting
 from l2p.octree import Cells, children, interpolate, root, smooth, total
 from l2p.progress import NO_PROGRESS, Progress
 from l2p.sharding import ALONE, Shards
 
-#: Line samples in one block of work (times about 60 bytes of temporaries).
-SAMPLES = 1 << 20
+#: Most line samples in one block of work, and bytes of temporaries of each.
+SAMPLES, _SAMPLE_BYTES = 1 << 20, 60
+#: Most that is held of each line meanwhile: samples, and up to a cell for each (``benchmarks/memory.py``).
+LINE_BYTES = 9000
 #: Mass of a cell that counts as none.
 EMPTY = 1e-12
 #: Mass is added up in whole numbers of this: far below the rounding of the numbers that are added, and a power of two,
@@ -207,7 +210,7 @@ def _refined(
         parent = level.cell[rows].gather(1, best).repeat_interleave(2, dim=1)
         place = _places(lines.rows(rows), half, 2 * above.side, beta[rows])
         code[rows] = above.octants(parent.flatten(), place.flatten(1)).view(parent.shape)
-    cells, row = children(above, code, SAMPLES, shards)
+    cells, row = children(above, code, fitting(SAMPLES, _SAMPLE_BYTES), shards)
     inherited = density.index_select(0, cells.parent)
     shape = interpolate(inherited / 8, cells) / inherited.clamp_min(EMPTY)
     return _Level([*level.cells[:-1], above.without_neighbors(), cells], [*level.shape, shape], row, beta)
@@ -290,7 +293,7 @@ def _answer(lines: Lines, half: float, level: _Level, density: Float[Tensor, " c
 
 
 def _blocks(lines: int, samples: int) -> Iterator[slice]:
-    rows = max(1, SAMPLES // max(samples, 1))
+    rows = max(1, fitting(SAMPLES, _SAMPLE_BYTES) // max(samples, 1))
     for begin in range(0, lines, rows):
         yield slice(begin, min(begin + rows, lines))
 

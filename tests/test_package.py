@@ -23,7 +23,8 @@ LAZY = HEAVY - {"torch"}
 
 #: Each module may import those before it. Folders stand for all their files.
 ORDER = [
-    *("errors", "methods", "progress", "threads", "sharding", "journal", "rounds", "processes", "point_neighbors"),
+    *("errors", "methods", "progress", "memory", "threads", "sharding", "journal", "rounds", "processes"),
+    "point_neighbors",
     *("lines", "geometry", "frame", "recovery", "scene"),
     *("lifting", "point_tree", "point_search", "search", "peak", "octree", "tomography", "neighborhoods"),
     *("surfaces", "features", "network", "learned", "checkpoint", "attack"),

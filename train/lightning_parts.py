@@ -48,7 +48,9 @@ class FigureTable(Logger):
     def log_metrics(self, metrics: dict[str, float], step: int | None = None) -> None:
         """Add a row for each figure."""
         self.file.parent.mkdir(parents=True, exist_ok=True)
-        fresh = not self.file.exists()
+        _without_torn_row(self.file)
+        # A kill may leave a file that nothing was written to yet.
+        fresh = not self.file.exists() or not self.file.stat().st_size
         with self.file.open("a", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
             if fresh:
@@ -57,3 +59,13 @@ class FigureTable(Logger):
 
     def log_hyperparams(self, params: Any, *args: Any, **kwargs: Any) -> None:
         """They are in config.yaml."""
+
+
+def _without_torn_row(file: Path) -> None:
+    """Take away a last row that a kill has cut; the next one would be glued to it."""
+    if not file.exists():
+        return
+    with file.open("r+b") as table:
+        content = table.read()
+        if content and not content.endswith(b"\n"):
+            table.truncate(content.rfind(b"\n") + 1)

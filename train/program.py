@@ -63,6 +63,7 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
     """
     folder.mkdir(parents=True, exist_ok=True)
     _check_config(settings, folder)
+    _sweep(folder)
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
     sources, held_back = Sources.of(settings.data), validation_sources(settings.data)
@@ -171,6 +172,13 @@ def _export(
     with atomic_file(model.with_name("results.json"), overwrite=True) as file:
         file.write(json.dumps(facts, indent=2, ensure_ascii=False).encode())
     log.info("%s: %d parameters", model, sum(parameter.numel() for parameter in network.parameters()))
+
+
+def _sweep(folder: Path) -> None:
+    """Take away what a run that was killed left half-written."""
+    if rank_zero_only.rank == 0:
+        for left in folder.glob(".l2p-*.tmp"):
+            left.unlink(missing_ok=True)
 
 
 def _check_state(last: Path) -> None:

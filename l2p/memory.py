@@ -1,0 +1,145 @@
+"""How much memory an attack may take, and how large its blocks can be in it.
+
+An attack holds some bytes for each line, which nothing can change, and works through blocks of lines, each with
+temporaries of its own. What is left of the allowance after the lines is the *room* of these blocks. It is known to all
+code inside :func:`room`, as torch's modes are, so that no function between the door and a block has to hand it on:
+it decides how much is done at a time, never what comes out.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+
+from l2p.errors import InputError
+
+GIB = 1 << 30
+#: Share of the free memory that an attack may take unless it is told how much; the rest is for the others.
+SHARE = 0.8
+#: Bytes that an attack takes whatever its lines: libraries loaded on the way, the coarse grid, freed pieces.
+BASE = 96 << 20
+#: Bytes that blocks need at least: tiles, which keep one size, are within it.
+SMALLEST = 64 << 20
+#: Files of Linux: what is free, what this process holds, and its limits in a container (version 2, then 1).
+MEMINFO, STATM, CGROUPS = Path("/proc/meminfo"), Path("/proc/self/statm"), Path("/proc/self/cgroup")
+_LIMITS = {
+    "": (Path("/sys/fs/cgroup"), "memory.max", "memory.current"),
+    "memory": (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes", "memory.usage_in_bytes"),
+}
+
+_room: ContextVar[int | None] = ContextVar("room", default=None)
+
+
+@contextmanager
+def room(size: int | None) -> Iterator[None]:
+    """Blocks that are begun inside keep their temporaries within so many bytes; None: as large as is fast."""
+    before = _room.set(size)
+    try:
+        yield
+    finally:
+        _room.reset(before)
+
+
+def fitting(most: int, each: float) -> int:
+    """How many items of ``each`` bytes a block takes: ``most``, which is fastest, or as many as there is room for."""
+    size = _room.get()
+    return most if size is None else max(1, min(most, int(size / max(each, 1))))
+
+
+def allotted(memory: float | None, lines: int, line_bytes: float) -> int | None:
+    """Bytes of room that blocks have beside the lines; None where nothing is known that would bound it.
+
+    Parameters
+    ----------
+    memory : float, optional
+        GiB that the attack may take; ``SHARE`` of what is free when left out.
+    lines : int
+    line_bytes : float
+        Bytes that the attack holds for each line.
+
+    Raises
+    ------
+    InputError
+        If the lines do not fit, or ``memory`` is no positive number.
+    """
+    if memory is None:
+        free = free_bytes()
+        if free is None:
+            return None
+        most, given = SHARE * free, f"{SHARE:.0%} of the free memory, {SHARE * free / GIB:.2f} GiB,"
+    elif 0 < memory < float("inf"):
+        most, given = memory * GIB, f"{memory:g} GiB of memory"
+    else:
+        raise InputError(f"got a memory of {memory:g} GiB; expected a number above 0")
+    held = BASE + lines * line_bytes
+    if most < held + SMALLEST:
+        needed = math.ceil((held + SMALLEST) / GIB * 100) / 100
+        cure = "free some of it, or allow as much (--memory, memory=)" if memory is None else "allow more"
+        raise InputError(
+            f"got {given} for {lines} lines; expected at least {needed:.2f} GiB for this method: {cure}, choose "
+            "another method, or take fewer lines"
+        )
+    return int(most - held)
+
+
+def free_bytes() -> int | None:
+    """Memory that this process may still take: of the machine, of its containers, of its own limit; None if unknown."""
+    known = [free for free in (_free_in_machine(), _free_in_containers(), _free_address_space()) if free is not None]
+    return max(0, min(known)) if known else None
+
+
+def _free_in_machine() -> int | None:
+    found = re.search(r"^MemAvailable:\s*(\d+) kB", _text(MEMINFO), re.MULTILINE)
+    if found:
+        return int(found.group(1)) << 10
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError):
+        return None
+
+
+def _free_in_containers() -> int | None:
+    """The least that any control group around this process has left."""
+    free = []
+    for line in _text(CGROUPS).splitlines():
+        _, kind, path = [*line.split(":", 2), "", ""][:3]
+        if kind not in _LIMITS:
+            continue
+        root, limit, usage = _LIMITS[kind]
+        own = root / path.lstrip("/")
+        # In a container the path may be that of the host, of which only the root is seen inside.
+        for group in {root, own, *(parent for parent in own.parents if parent.is_relative_to(root))}:
+            most, taken = _text(group / limit).strip(), _text(group / usage).strip()
+            if most.isdecimal() and taken.isdecimal():
+                free.append(int(most) - int(taken) + _reclaimable(group))
+    return min(free, default=None)
+
+
+def _reclaimable(group: Path) -> int:
+    """Bytes of a control group's usage that are cached files, which are given up when memory is short."""
+    found = re.search(r"^(?:total_)?inactive_file (\d+)", _text(group / "memory.stat"), re.MULTILINE)
+    return int(found.group(1)) if found else 0
+
+
+def _free_address_space() -> int | None:
+    try:
+        import resource
+    except ImportError:  # not of Unix
+        return None
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    taken = _text(STATM).split()
+    if limit == resource.RLIM_INFINITY or not taken:
+        return None
+    return limit - int(taken[0]) * resource.getpagesize()
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="ascii")
+    except (OSError, ValueError):
+        return ""
