@@ -77,7 +77,7 @@ GROUPS: dict[str, tuple[Variant, ...]] = {
         Variant("width32", "width 32", ("network.width=32",)),
         Variant("width96", "width 96", ("network.width=96",)),
         Variant("k32", "32 candidates", ("learned.candidates=32",)),
-        Variant("k96", "96 candidates", ("learned.candidates=96",)),
+        Variant("k64", "64 candidates", ("learned.candidates=64",)),
         Variant("rounds2", "two rounds", ("learned.rounds=2",)),
         Variant("rounds5", "five rounds", ("learned.rounds=5",)),
     ),
@@ -86,8 +86,8 @@ GROUPS: dict[str, tuple[Variant, ...]] = {
         Variant("real", "real scenes only", ("simulated=0",)),
     ),
     "length": (
-        Variant("half", "half as many steps", ("steps=500",)),
-        Variant("double", "twice as many steps", ("steps=2000",)),
+        Variant("half", "half as many steps", ("steps=350",)),
+        Variant("double", "twice as many steps", ("steps=1400",)),
     ),
 }  # fmt: skip
 _HEAD = "| | median, full | within 1 | median, 10 % | within 1 | calibration error | minutes |"
