@@ -149,7 +149,8 @@ def run(
             estimate = method.locate(inside, frame, progress)
         else:
             sharing = _in_rounds(method)
-            inside, frame = _told(rounds.shards, method, where, inside, frame)
+            if rounds.shards.processes > 1:
+                inside, frame = _told(rounds.shards, method, where, inside, frame)
             estimate = sharing.locate_in_rounds(inside, frame, progress, rounds)
     beta = frame.leave(lines, estimate.beta)
     info = {

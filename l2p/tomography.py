@@ -41,6 +41,8 @@ EMPTY = 1e-12
 #: Mass is added up in whole numbers of this: far below the rounding of the numbers that are added, and a power of two,
 #: so that nothing else is rounded. The sums hold 2^28 lines.
 _GRAIN = 2.0**-34
+#: From so many cells on they are not halved: eight times as many are not to be numbered in 32 bits.
+MOST_CELLS = (1 << 28) - 2
 #: Logarithm of a density that stands for none.
 NOTHING = -27.6
 
@@ -164,7 +166,7 @@ def tomogram(
                 density = _update(level, density, config, shards)
                 advance(1)
             # Processors of another make may add it up to other digits, and all have to stop as one.
-            if float(shards.first(_crowd(density))) < config.crowd:
+            if float(shards.first(_crowd(density))) < config.crowd or len(density) > MOST_CELLS:
                 break
     mass = [density]
     for coarse, fine in zip(level.cells[-2::-1], level.cells[:0:-1], strict=True):
@@ -236,9 +238,11 @@ def _back_projection(
     level: _Level, density: Float[Tensor, " cells"], shards: Shards = ALONE
 ) -> Float[Tensor, " cells"]:
     """The sum of what the lines spread, whatever their order: MLEM with a sensitivity of 1."""
-    mass = torch.zeros(len(density) + 1, dtype=torch.int64, device=density.device)
+    # Apple's GPUs add up no integers of this size.
+    whole = density.dtype if density.device.type == "mps" else torch.int64
+    mass = torch.zeros(len(density) + 1, dtype=whole, device=density.device)
     for rows in _blocks(*level.cell.shape):
-        spread = (_posterior(level, density, rows) / _GRAIN).long()
+        spread = (_posterior(level, density, rows) / _GRAIN).to(whole)
         mass.scatter_add_(0, level.cell[rows].flatten().long(), spread.flatten())
     shards.sum(mass)
     return mass[:-1].to(density.dtype) * _GRAIN

@@ -191,6 +191,8 @@ def check(words: list[str]) -> None:
         check_python(arguments)
     elif program == "mkdir":
         assert not any(word.startswith("-") for word in arguments)
+    elif program == "torchrun":
+        check(arguments[arguments.index("-m") + 1 :])
     else:
         raise AssertionError(f"{program} is not known here: {shlex.join(words)}")
 

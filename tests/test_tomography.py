@@ -234,3 +234,19 @@ def test_nearest_points_leave_self_out(rng):
     distance = torch.cdist(points.double(), points.double()).fill_diagonal_(torch.inf).sort(dim=1).values[:, :4]
     torch.testing.assert_close(found.distance.double(), distance, atol=1e-5, rtol=1e-5)
     assert nearest_points_to_points(points[:1], 4).index.shape == (1, 0)
+
+
+def test_the_density_does_not_depend_on_the_order_of_the_lines(lines):
+    """To the last bit, unlike a sum of rounded numbers."""
+    order = torch.randperm(len(lines.direction), generator=torch.Generator().manual_seed(0))
+    (_, one), (_, other) = tomogram(lines), tomogram(lines.rows(order))
+    assert all(torch.equal(left, right) for left, right in zip(one.mass, other.mass, strict=True))
+
+
+def test_too_many_cells_are_not_halved(lines, monkeypatch):
+    _, fine = tomogram(lines)
+    most = fine.cells[3].count
+    monkeypatch.setattr(tomography, "MOST_CELLS", most - 1)
+    posterior, density = tomogram(lines)
+    assert len(density.cells) == 4 and density.cells[-1].count == most
+    assert torch.isfinite(posterior.probability).all()
