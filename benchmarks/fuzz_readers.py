@@ -71,7 +71,7 @@ TRACED: tuple[ModuleType, ...] = (
     *(checkpoint, exhibit, tables, colmap, kinds, line_files, npz, ply, recovery_files, scene_files, text_lines),
     *(zipfile, importlib.import_module("plyfile"), np.lib.format),
 )
-#: What a file may cost: seconds, and bytes beside a multiple of its own.
+#: What a file may cost: seconds of a processor, and bytes beside a multiple of its own.
 SECONDS, BYTES, TIMES = 20, 100 << 20, 20
 #: Address space beyond that of an idle process; what is not allocated by Python meets this limit.
 SPACE = 4 << 30
@@ -227,7 +227,7 @@ def try_one(path: Path, size: int) -> str | None:
     """Read a damaged file; what is wrong with how that went, if anything."""
     tracemalloc.reset_peak()
     before = tracemalloc.get_traced_memory()[0]
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)  # ends the process
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)  # ends the process, also on a machine that is busy otherwise
     try:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
@@ -235,7 +235,7 @@ def try_one(path: Path, size: int) -> str | None:
     except Exception:
         return traceback.format_exc()
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
     if said:  # which the user of a command would see as lines of no use
         return f"File {said[0].filename}, line {said[0].lineno}\n{said[0].category.__name__}: {said[0].message}"
     taken = tracemalloc.get_traced_memory()[1] - before
