@@ -2,10 +2,11 @@
 
     python benchmarks/fuzz_readers.py --minutes 60
 
-A reader gives an object or raises InputError; anything else is a finding, and so are a death of the process, more than
-20 seconds, or more memory than 100 MB and 20 times the file. Each kind of finding is saved once, to
+A reader gives an object or raises InputError; anything else is a finding, and so are warnings, a death of the process,
+more than 20 seconds, or more memory than 100 MB and 20 times the file. Each kind of finding is saved once, to
 ``--findings/NAME/``, with the files that show it and ``error.txt``; the exit code is 1 if there are any. Time is spent
-on all formats in turn, in a process of its own, which is replaced when it dies.
+on all formats in turn, in a process of its own, which is replaced when it dies. Inputs that take the readers along
+lines of code in an order not seen before are kept, and damaged further (``line_coverage.py``).
 
 With ``--engine atheris`` the damage is guided by coverage instead (libFuzzer), for the binary formats of one file. It
 needs the package atheris, which is no dependency of the project: make an environment for it and lend it the packages
@@ -20,6 +21,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import hashlib
+import importlib
 import inspect
 import io
 import os
@@ -32,6 +34,7 @@ import tempfile
 import time
 import traceback
 import tracemalloc
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -43,10 +46,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
+from accidents import damaged
+from line_coverage import Steps
 
 from l2p import checkpoint, exhibit, tables
 from l2p.errors import InputError
-from l2p.io import kinds, line_files, npz, ply, recovery_files, scene_files
+from l2p.io import colmap, kinds, line_files, npz, ply, recovery_files, scene_files, text_lines
 from l2p.lifting import lift
 from l2p.recovery import Recovery
 from l2p.scene import Scene, Truth
@@ -61,12 +66,19 @@ READERS: tuple[Callable[[Path], Any], ...] = (
     exhibit.Exhibit.load,
     tables.print_info,
 )
-#: What a file may cost: seconds, and bytes beside a multiple of its own.
+#: The code that a file leads through.
+TRACED: tuple[ModuleType, ...] = (
+    *(checkpoint, exhibit, tables, colmap, kinds, line_files, npz, ply, recovery_files, scene_files, text_lines),
+    *(zipfile, importlib.import_module("plyfile"), np.lib.format),
+)
+#: What a file may cost: seconds of a processor, and bytes beside a multiple of its own.
 SECONDS, BYTES, TIMES = 20, 100 << 20, 20
 #: Address space beyond that of an idle process; what is not allocated by Python meets this limit.
 SPACE = 4 << 30
 #: Rows of the valid files.
 ROWS = 6
+#: Inputs of a file that are kept to be damaged further, and the largest of them in bytes.
+KEPT, LARGEST = 200, 1 << 16
 
 
 @dataclass(frozen=True)
@@ -180,57 +192,18 @@ def read_all(path: Path) -> None:
             reader(path)
 
 
-def damaged(content: bytes, chance: random.Random) -> bytes:
-    """The content after one to four accidents."""
-    found = bytearray(content)
-    for _ in range(chance.choice((1, 1, 2, 4))):
-        at, size = chance.randint(0, max(0, len(found) - 1)), chance.choice((1, 2, 4, 8, 40))
-        accident = chance.choice(ACCIDENTS)
-        accident(found, at, size, chance)
-    return bytes(found)
+def cases_of(
+    files: list[Valid], chance: random.Random, kept: dict[tuple[str, str], list[bytes]]
+) -> Iterator[tuple[Valid, str, bytes]]:
+    """Endless cases, all formats in turn: the valid file, which of its files is damaged, and how that looks.
 
-
-def _flip(found: bytearray, at: int, size: int, chance: random.Random) -> None:
-    found[at : at + 1] = bytes(byte ^ (1 << chance.randrange(8)) for byte in found[at : at + 1])
-
-
-def _noise(found: bytearray, at: int, size: int, chance: random.Random) -> None:
-    found[at : at + size] = chance.randbytes(size)
-
-
-def _extreme(found: bytearray, at: int, size: int, chance: random.Random) -> None:
-    """A number that lies on an edge: as bytes of either order, or as a word."""
-    number = chance.choice((0, 1, 2**31, 2**32 - 1, 2**40, 2**63, 2**64 - 1))
-    word = chance.choice(("nan", "inf", "-1", "1e999", "[", '"', "\n", " ", str(number))).encode()
-    order = chance.choice(("little", "big"))
-    found[at : at + size] = chance.choice((word, (number % 2 ** (8 * size)).to_bytes(size, order)))
-
-
-def _cut(found: bytearray, at: int, size: int, chance: random.Random) -> None:
-    del found[at : at + size]
-
-
-def _double(found: bytearray, at: int, size: int, chance: random.Random) -> None:
-    found[at:at] = found[at : at + size] * chance.choice((1, 1, 50))
-
-
-def _insert(found: bytearray, at: int, size: int, chance: random.Random) -> None:
-    found[at:at] = chance.randbytes(size)
-
-
-def _end(found: bytearray, at: int, size: int, chance: random.Random) -> None:
-    del found[at:]
-
-
-ACCIDENTS = (_flip, _noise, _extreme, _extreme, _cut, _double, _insert, _end)
-
-
-def accidents(files: list[Valid], chance: random.Random) -> Iterator[tuple[Valid, str, bytes]]:
-    """Endless cases, all formats in turn: the valid file, which of its files is damaged, and how that looks."""
+    Every other case starts from an input that was kept, where there is one.
+    """
     while True:
         for valid in files:
             name = chance.choice(sorted(valid.files))
-            content = damaged(valid.files[name], chance)
+            before = kept.get((valid.name, name), []) if chance.random() < 0.5 else []
+            content = damaged(chance.choice(before) if before else valid.files[name], chance)
             yield valid, name, content if chance.random() < 0.5 else repaired(valid.name, content)
 
 
@@ -254,13 +227,17 @@ def try_one(path: Path, size: int) -> str | None:
     """Read a damaged file; what is wrong with how that went, if anything."""
     tracemalloc.reset_peak()
     before = tracemalloc.get_traced_memory()[0]
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)  # ends the process
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)  # ends the process, also on a machine that is busy otherwise
     try:
-        read_all(path)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            read_all(path)
     except Exception:
         return traceback.format_exc()
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+    if said:  # which the user of a command would see as lines of no use
+        return f"File {said[0].filename}, line {said[0].lineno}\n{said[0].category.__name__}: {said[0].message}"
     taken = tracemalloc.get_traced_memory()[1] - before
     return f"{taken} bytes of memory for {size} bytes" if taken > BYTES + TIMES * size else None
 
@@ -284,17 +261,23 @@ def work(files: list[Valid], findings: Path, desk: Path, number: int, until: flo
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     tracemalloc.start()
-    cases = 0
-    for valid, name, content in accidents(files, random.Random(number)):
+    cases, kept = 0, dict[tuple[str, str], list[bytes]]()
+    steps = Steps(TRACED)
+    for valid, name, content in cases_of(files, random.Random(number), kept):
         if time.monotonic() > until:
             break
         path = valid.write(desk, name, content)
-        error = try_one(path, len(content))
+        with steps:
+            error = try_one(path, len(content))
+        inputs = kept.setdefault((valid.name, name), [])
+        if steps.fresh and len(inputs) < KEPT and len(content) <= LARGEST:
+            inputs.append(content)
         if error is not None:
             save_finding(findings, path, error)
         shutil.rmtree(path) if path.is_dir() else path.unlink()
         cases += 1
-    print(f"{cases} cases", flush=True)
+    new = sum(map(len, kept.values()))
+    print(f"{cases} cases, {len(steps.known)} steps from line to line, {new} inputs kept", flush=True)
 
 
 def fuzz(files: list[Valid], findings: Path, minutes: float, seed: int) -> None:
@@ -330,7 +313,7 @@ def fuzz_guided(files: list[Valid], findings: Path, minutes: float, seed: int) -
 def _guided(valid: Valid, findings: Path, seconds: float, seed: int) -> None:
     import atheris
 
-    for module in (checkpoint, kinds, line_files, npz, ply, recovery_files, scene_files, zipfile, _module("plyfile")):
+    for module in TRACED:
         for function in _functions(module):
             atheris.instrument_func(function)  # type: ignore[attr-defined]
     corpus = Path(tempfile.mkdtemp())
@@ -354,10 +337,6 @@ def _guided(valid: Valid, findings: Path, seconds: float, seed: int) -> None:
     }
     atheris.Setup([sys.argv[0], *(f"-{name}={value}" for name, value in flags.items()), str(corpus)], one)
     atheris.Fuzz()
-
-
-def _module(name: str) -> ModuleType:
-    return __import__(name)
 
 
 def _functions(module: ModuleType) -> Iterator[Any]:

@@ -31,6 +31,7 @@ from l2p.attack import run as attack
 from l2p.errors import InputError
 from l2p.learned import LearnedConfig
 from train.config import CONFIGS, Settings, settings_of
+from train.lightning_parts import FigureTable
 from train.program import train_all
 
 COMMAND = "python -m train"
@@ -155,8 +156,10 @@ def test_a_resumed_run_ends_with_the_same_weights(trained: Path, tmp_path: Path,
 
 def test_a_finished_run_is_not_trained_again(tmp_path: Path) -> None:
     few = settings("steps=4", "save_every=2")
+    (tmp_path / ".l2p-0123.tmp").write_bytes(b"half of a state, from a run that was killed")
     steps = Steps()
     train_all(few, tmp_path, COMMAND)
+    assert not list(tmp_path.glob(".*"))
     weights, results = load_file(tmp_path / "model.safetensors"), facts(tmp_path)["results"]
     (tmp_path / "model.safetensors").unlink()
     train_all(few, tmp_path, COMMAND, [steps])
@@ -197,6 +200,16 @@ def test_two_processes_train_one_network_also_after_a_kill(tmp_path: Path) -> No
     assert facts(folder)["steps"] == steps and facts(folder)["processes"] == 2
     assert checkpoint.load(folder / "model.safetensors").config.rounds == 2
     assert not list(folder.glob("*process*"))
+
+
+def test_a_table_that_a_kill_has_torn_is_mended(tmp_path: Path) -> None:
+    table = tmp_path / "figures.csv"
+    for before in (None, "", "step,figure,value\n", "step,figure,value\n7,rate,0.2", "step,fig"):
+        table.unlink(missing_ok=True)
+        if before is not None:
+            table.write_text(before)
+        FigureTable(tmp_path).log_metrics({"rate": 0.5}, step=8)
+        assert figures(tmp_path) == {("8", "rate"): "0.5"}, before
 
 
 # Ended

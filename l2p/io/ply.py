@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from os import PathLike
 from pathlib import Path
 
@@ -21,8 +22,10 @@ def ply_elements(path: str | PathLike[str]) -> dict[str, np.ndarray]:
     content = Path(path).read_bytes()
     _check_counts(path, content)
     try:
-        # From memory: plyfile leaves the handle of an ascii file open, and would map a binary one.
-        return {element.name: element.data for element in PlyData.read(io.BytesIO(content)).elements}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of empty lists, by numpy
+            # From memory: plyfile leaves the handle of an ascii file open, and would map a binary one.
+            return {element.name: element.data for element in PlyData.read(io.BytesIO(content)).elements}
     except Exception as error:  # plyfile and numpy raise many types on damaged bytes
         reason = " ".join(str(error).split())[:120]
         raise InputError(f"{path} is truncated or damaged; expected a complete PLY file ({reason})") from error

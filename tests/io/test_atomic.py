@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import resource
 import signal
@@ -11,10 +12,13 @@ import sys
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from l2p.cli import main
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file, atomic_folder, check_file, check_folder
+from l2p.io.recovery_files import load_recovery
 
 NAMES = frozenset({"a.txt"})
 
@@ -184,3 +188,38 @@ def test_sigint_leaves_nothing_behind(tmp_path):
         process.send_signal(signal.SIGINT)
         process.wait(timeout=20)
     assert os.listdir(tmp_path) == []
+
+
+#: Does what the words say, and dies by SIGKILL at the n-th of the calls that touch the disk.
+KILLED = """
+import os, signal, sys
+count = int(sys.argv[1])
+def dying(function):
+    def call(*arguments, **words):
+        global count
+        count -= 1
+        if count == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return function(*arguments, **words)
+    return call
+os.replace, os.fsync, os.mkdir = map(dying, (os.replace, os.fsync, os.mkdir))
+from l2p.cli import main
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 4])
+def test_a_kill_at_any_step_leaves_outputs_whole_or_absent(tmp_path, step):
+    """Of recover with two outputs; the same command then does all of it, whatever lies beside."""
+    np.savez(tmp_path / "scene.npz", xyz=np.random.default_rng(0).normal(size=(60, 3)))
+    assert main(["lift", str(tmp_path / "scene.npz"), "-o", str(tmp_path / "lines.npz"), "--seed", "0"]) == 0
+    words = ["recover", str(tmp_path / "lines.npz"), "-o", str(tmp_path / "out.npz"), "--method", "tomography"]
+    words += ["--json", str(tmp_path / "stats.json"), "--rounds", "0"]
+    done = subprocess.run([sys.executable, "-c", KILLED, str(step), *words], capture_output=True, check=False)
+    assert done.returncode == -signal.SIGKILL
+    there = {name: (tmp_path / name).exists() for name in ("out.npz", "stats.json")}
+    assert not (there["stats.json"] and not there["out.npz"]), "figures of a recovery that is not there"
+    if there["out.npz"]:
+        assert len(load_recovery(tmp_path / "out.npz")) == 60
+    assert main([*words, *(["--force"] if any(there.values()) else [])]) == 0
+    assert len(load_recovery(tmp_path / "out.npz")) == json.loads((tmp_path / "stats.json").read_bytes())["lines"]

@@ -342,6 +342,15 @@ def test_a_wrong_ply_is_explained(tmp_path, vertex, edge, message):
         load_lines(tmp_path / "bad.ply")
 
 
+def test_a_ply_with_an_empty_list_is_read_without_a_word(tmp_path, recwarn):
+    path = tmp_path / "lines.ply"
+    vertex = "element vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+    edge = "element edge 1\nproperty list uchar int other\nproperty int vertex1\nproperty int vertex2\n"
+    path.write_text(f"ply\nformat ascii 1.0\n{vertex}{edge}end_header\n0 0 0\n1 1 1\n0 0 1\n")
+    assert len(load_lines(path)) == 1
+    assert not recwarn.list
+
+
 def test_an_existing_file_is_kept(tmp_path):
     (tmp_path / "lines.npz").write_bytes(b"precious")
     with pytest.raises(InputError, match=r"exists; choose another -o or add --force"):
