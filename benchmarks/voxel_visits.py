@@ -19,6 +19,7 @@ from torch import Tensor
 import l2p
 from l2p import tomography
 from l2p.frame import Frame
+from l2p.sharding import Shards
 from l2p.tomography import TomographyConfig
 
 
@@ -28,7 +29,7 @@ def level_of(lines: int, kind: str, levels: int) -> tuple[tomography._Level, Ten
     found: list[tuple[tomography._Level, Tensor]] = []
     update = tomography._update
 
-    def watched(level: tomography._Level, density: Tensor, config: TomographyConfig) -> Tensor:
+    def watched(level: tomography._Level, density: Tensor, config: TomographyConfig, _: Shards) -> Tensor:
         found[:] = [(level, update(level, density, config))]
         return found[0][1]
 
