@@ -60,8 +60,8 @@ def turned(lines: LineCloud, rng: np.random.Generator) -> Change:
 
 def rounded(lines: LineCloud, rng: np.random.Generator) -> Change:
     """Written in single precision: not the same lines."""
-    single = (part.astype(np.float32).astype(np.float64) for part in (lines.direction, lines.moment))
-    return Change(LineCloud(*single), lambda xyz: xyz)
+    direction, moment = (part.astype(np.float32).astype(np.float64) for part in (lines.direction, lines.moment))
+    return Change(LineCloud(direction, moment), lambda xyz: xyz)
 
 
 CHANGES = {

@@ -27,17 +27,18 @@ def draw() -> torch.Generator:
 def slow_fit(points: np.ndarray, direction: np.ndarray, confidence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centre and normal, an estimate at a time."""
     first = [c + _LEAST for c in confidence]
-    weight = list(first)
-    for step in range(_REFITS + 1):
-        centre = sum(w * p for w, p in zip(weight, points, strict=True)) / sum(weight)
-        spread = sum(w * np.outer(p - centre, p - centre) for w, p in zip(weight, points, strict=True)) / sum(weight)
-        value, vector = np.linalg.eigh(spread)
-        if step < _REFITS:
-            for j, (p, d) in enumerate(zip(points, direction, strict=True)):
-                steep = (vector[:, 0] @ d) ** 2
-                off = (vector[:, 0] @ (p - centre)) ** 2
-                weight[j] = first[j] * _ROUGHNESS / (_ROUGHNESS + steep) / (1 + off / (_DOUBT * value[0]))
-    return centre, vector[:, 0]
+    weight, step = list(first), 0
+    while True:
+        centre = np.sum([w * p for w, p in zip(weight, points, strict=True)], axis=0) / sum(weight)
+        spread = [w * np.outer(p - centre, p - centre) for w, p in zip(weight, points, strict=True)]
+        value, vector = np.linalg.eigh(np.sum(spread, axis=0) / sum(weight))
+        if step == _REFITS:
+            return centre, vector[:, 0]
+        for j, (p, d) in enumerate(zip(points, direction, strict=True)):
+            steep = (vector[:, 0] @ d) ** 2
+            off = (vector[:, 0] @ (p - centre)) ** 2
+            weight[j] = first[j] * _ROUGHNESS / (_ROUGHNESS + steep) / (1 + off / (_DOUBT * value[0]))
+        step += 1
 
 
 def test_it_is_its_slow_twin(draw: torch.Generator) -> None:
