@@ -99,10 +99,10 @@ def in_processes(count: int, work: Callable[[Shards], Found]) -> list[Found]:
     return [each.result() for each in running]
 
 
-def recovered(lines: LineCloud, method: Callable[[], Method], shards: Shards) -> Recovery | None:
+def recovered(lines: LineCloud, method: Method, shards: Shards) -> Recovery | None:
     if shards.rank == 0:
-        return attack.run(lines, method(), rounds=Rounds(shards))
-    return attack.assist(method(), shards)
+        return attack.run(lines, method, rounds=Rounds(shards))
+    return attack.assist(method, shards)
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,9 @@ def test_several_processes_find_what_one_finds(
     lines: LineCloud, alone: dict[str, Recovery], name: str, count: int
 ) -> None:
     """400 lines are 7 blocks, the last one smaller."""
-    first, *others = in_processes(count, lambda shards: recovered(lines, METHODS[name], shards))
+    # Made beforehand: weights are drawn from the one generator that threads share.
+    methods = [METHODS[name]() for _ in range(count)]
+    first, *others = in_processes(count, lambda shards: recovered(lines, methods[shards.rank], shards))
     assert others == [None] * (count - 1)
     assert first is not None
     for part in ("xyz", "confidence", "neighbors", "affinity"):
@@ -139,12 +141,14 @@ def test_rounds_change_nothing_where_one_process_does_them(lines: LineCloud, alo
 def test_too_few_lines_to_go_round_are_refused(lines: LineCloud) -> None:
     few = LineCloud(lines.direction[: 2 * BLOCK + 1], lines.moment[: 2 * BLOCK + 1])
     with pytest.raises(InputError, match="got 4 processes for 129 lines; expected at most 3, since each takes whole"):
-        in_processes(4, lambda shards: recovered(few, Tomography, shards))
+        in_processes(4, lambda shards: recovered(few, Tomography(), shards))
 
 
 def test_a_process_with_other_settings_is_refused(lines: LineCloud) -> None:
+    methods = METHODS["learned"](), METHODS["learned, no rounds"]()
+
     def work(shards: Shards) -> object:
-        return recovered(lines, METHODS["learned" if shards.rank == 0 else "learned, no rounds"], shards)
+        return recovered(lines, methods[shards.rank], shards)
 
     with pytest.raises(InputError, match="process 1 has another method, other settings, another checkpoint or another"):
         in_processes(2, work)
