@@ -15,7 +15,7 @@ from l2p.learned import LearnedConfig, find_candidates
 from l2p.network import RADII, Judgement, LineTransformer, NetworkConfig
 from l2p.peak import PeakConfig
 from train.clouds import CloudSource, lifted
-from train.judging import Judged, calibrate, figures, worthwhile
+from train.judging import Judged, calibrate, figures
 from train.losses import BACKGROUND, Sample, affinity_loss, losses, position_loss, soft_labels
 
 KINDS = len(VOTES) + 2
@@ -152,27 +152,10 @@ def test_figures_are_those_of_the_calibrated_last_round() -> None:
         Judged(torch.tensor([4.0, 0.2, 3.0, 0.1]), torch.zeros(4, len(RADII))),
         Judged(torch.tensor([0.2, 0.4, 3.0, 9.0]), torch.tensor([2.0, -1.0, 1.0, -1.0])[:, None].repeat(1, len(RADII))),
     ]
-    found = figures(CloudSource("sim:room:150:0", 0.5, 0), rounds, [(2.0, 1.0)] * len(RADII), len(rounds))
+    found = figures(CloudSource("sim:room:150:0", 0.5, 0), rounds, [(2.0, 1.0)] * len(RADII))
     assert found["lines"] == 4 and found["fraction"] == 0.5
     assert found["median"] == [0.2, 0.4] and found["within"] == [0.5, 0.5]
     assert found["confident_half"] == 0.5, "of the first and the third line"
     sure = 1 / (1 + np.exp(-(2 * np.array([2.0, -1.0, 1.0, -1.0]) + 1)))
     # Four lines, one in a bin: the mean distance of probability and truth.
     assert found["calibration_error"] == pytest.approx(np.abs(sure - [1, 1, 0, 0]).mean(), abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("medians", "rounds"),
-    [
-        ([[1.0, 0.9, 0.899, 0.5], [4.0, 3.6, 3.6, 2.0]], 2),
-        ([[1.0, 0.9, 0.8, 0.7]], 4),
-        ([[1.0, 1.1], [1.0, 0.8]], 2),
-        ([[1.0, 1.2, 0.1]], 1),
-        ([[0.5]], 1),
-        ([[0.0, 0.0]], 1),
-    ],
-)
-def test_rounds_are_kept_while_they_take_a_hundredth_off_the_median(medians: list[list[float]], rounds: int) -> None:
-    sure = torch.zeros(3, len(RADII))
-    judged = [[Judged(torch.tensor([0.0, median, 9.0]), sure) for median in cloud] for cloud in medians]
-    assert worthwhile(judged) == rounds

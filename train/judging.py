@@ -18,10 +18,6 @@ from l2p.network import RADII, LineTransformer
 from train.clouds import Cloud, CloudSource
 
 _ONE = RADII.index(1.0)
-#: Share of the median error that a round has to take off to be in the checkpoint: each costs as much as the others.
-LEAST_GAIN = 0.01
-#: Median errors are not counted as better than this, in spacings: a scene of the same place twice is no merit.
-LEAST_MEDIAN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -80,22 +76,11 @@ def _platt(
     return float(np.exp(log_slope)), float(offset)
 
 
-def worthwhile(judged: Sequence[Sequence[Judged]]) -> int:
-    """How many rounds pay: a further one has to take ``LEAST_GAIN`` off the median error of the clouds (the geometric
-    mean; ``judged`` holds all rounds of each cloud)."""
-    medians = np.array([[max(float(part.error.median()), LEAST_MEDIAN) for part in rounds] for rounds in judged])
-    mean = np.exp(np.log(medians).mean(axis=0))
-    gains = 1 - mean[1:] / mean[:-1]
-    return 1 + int(np.argmax([*(gains < LEAST_GAIN), True]))
-
-
 def figures(
-    source: CloudSource, judged: Sequence[Judged], calibration: Sequence[tuple[float, float]], rounds: int
+    source: CloudSource, judged: Sequence[Judged], calibration: Sequence[tuple[float, float]]
 ) -> dict[str, Any]:
-    """Errors of one cloud after every round, and what the calibrated confidence is worth after the last of ``rounds``,
-    those of the checkpoint."""
-    last = judged[rounds - 1]
-    error, sure = last.error, last.sure[:, _ONE].double()
+    """Errors after every round, and what the calibrated confidence of the last one is worth; for one cloud."""
+    error, sure = judged[-1].error, judged[-1].sure[:, _ONE].double()
     slope, offset = calibration[_ONE]
     probability, inside = torch.sigmoid(slope * sure + offset), error <= 1
     best = probability.argsort(descending=True)[: max(1, len(probability) // 2)]

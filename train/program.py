@@ -9,7 +9,6 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -32,7 +31,7 @@ from l2p.progress import terminal_progress
 from l2p.provenance import machine, versions
 from train.clouds import lifted
 from train.config import CHANGEABLE, Settings
-from train.judging import Judged, calibrate, figures, rounds_of, worthwhile
+from train.judging import Judged, calibrate, figures, rounds_of
 from train.lightning_parts import AtomicCheckpoints, FigureTable
 from train.module import NetworkModule
 from train.sources import Sources, validation_sources
@@ -154,10 +153,8 @@ def _export(
         for source in held_back:
             judged.append(rounds_of(lifted(source), network, settings.learned))
             advance(1)
-    rounds = worthwhile(judged)
-    log.info("%d of %d rounds pay", rounds, settings.learned.rounds)
-    calibration = [calibrate(cast("Sequence[Judged]", part)) for part in zip(*judged, strict=True)][:rounds]
-    results = [figures(source, part, calibration[-1], rounds) for source, part in zip(held_back, judged, strict=True)]
+    calibration = [calibrate(cast("Sequence[Judged]", part)) for part in zip(*judged, strict=True)]
+    results = [figures(source, part, calibration[-1]) for source, part in zip(held_back, judged, strict=True)]
     for row in results:
         log.info("%(scene)s at %(fraction)g: median %(median)s, within %(within)s", row)
     facts = {
@@ -171,8 +168,7 @@ def _export(
         "results": results,
         "config": settings.resolved,
     }
-    learned = replace(settings.learned, rounds=rounds)
-    checkpoint.save(model, Checkpoint(network, learned, calibration, facts), overwrite=True)
+    checkpoint.save(model, Checkpoint(network, settings.learned, calibration, facts), overwrite=True)
     with atomic_file(model.with_name("results.json"), overwrite=True) as file:
         file.write(json.dumps(facts, indent=2, ensure_ascii=False).encode())
     log.info("%s: %d parameters", model, sum(parameter.numel() for parameter in network.parameters()))
