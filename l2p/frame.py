@@ -79,8 +79,8 @@ class Frame:
 
     def enter(self, cloud: LineCloud, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> Lines:
         """The lines as tensors in this frame, with one sign and rounded; all of it is done in double precision."""
-        direction = _rounded(cloud.direction @ self.axes, 1.0)
-        direction *= _sign(direction)
+        direction, sign = self._turned(cloud)
+        direction *= sign
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         foot = np.cross(cloud.direction, cloud.moment - np.cross(self.center, cloud.direction)) @ self.axes / self.unit
         size = np.exp2(np.ceil(np.log2(np.maximum(np.abs(foot).max(axis=1, keepdims=True), 1.0))))
@@ -99,8 +99,12 @@ class Frame:
     def leave(self, cloud: LineCloud, beta: Float[Tensor, " lines"]) -> Float[np.ndarray, " lines"]:
         """Positions along the lines, counted from the foot of this frame, as positions from the scene's own feet."""
         along = cloud.direction @ self.center
-        sign = _sign(_rounded(cloud.direction @ self.axes, 1.0))[:, 0]
-        return along + self.unit * sign * beta.double().cpu().numpy()
+        return along + self.unit * self._turned(cloud)[1][:, 0] * beta.double().cpu().numpy()
+
+    def _turned(self, cloud: LineCloud) -> tuple[Float[np.ndarray, "lines 3"], Float[np.ndarray, "lines 1"]]:
+        """Directions along the axes, rounded, and the sign that they are given on entering."""
+        direction = _rounded(cloud.direction @ self.axes, 1.0)
+        return direction, _sign(direction)
 
 
 def _rounded(
