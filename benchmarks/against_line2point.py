@@ -86,19 +86,25 @@ def _children_cpu() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def run_l2p(cloud: Path, threads: int | None) -> Row:
-    """The heuristic of this package as its command line runs it, with so many threads or as many as it takes."""
+#: Rows of this package: a name, and what is given to ``l2p recover``.
+RUNS: tuple[tuple[str, list[object]], ...] = (
+    ("heuristic, `--threads 1`", ["--method", "heuristic", "--rounds", ROUNDS, "--threads", 1]),
+    ("heuristic", ["--method", "heuristic", "--rounds", ROUNDS]),
+    ("learned, `--rounds 1`", ["--method", "learned", "--rounds", 1]),
+    ("learned", ["--method", "learned"]),
+)
+
+
+def run_l2p(cloud: Path, name: str, words: list[object]) -> Row:
+    """An attack of this package as its command line runs it."""
     names = ("lines.npz", "truth.npz", "out.npz", "stats.json")
     lines, truth, out, stats = (cloud.with_name(name) for name in names)
-    limit = [] if threads is None else ["--threads", str(threads)]
     _command("lift", cloud, "-o", lines, "--truth", truth, "--seed", 0, "--force")
     cpu_began = _children_cpu()
-    words = ["--method", "heuristic", "--rounds", ROUNDS, *limit, "--json", stats, "--force"]
-    _command("recover", lines, "-o", out, *words)
+    _command("recover", lines, "-o", out, *words, "--json", stats, "--force")
     cpu = _children_cpu() - cpu_began
     scores = l2p.evaluate(l2p.Recovery.load(out), l2p.Truth.load(truth).xyz)
-    name = "l2p heuristic, " + ("as it comes" if threads is None else f"--threads {threads}")
-    return Row(name, json.loads(stats.read_text())["seconds"], cpu, scores.median)
+    return Row(f"l2p {name}", json.loads(stats.read_text())["seconds"], cpu, scores.median)
 
 
 def _command(*words: object) -> None:
@@ -145,9 +151,9 @@ def main() -> None:
         cloud = Path(place) / "cloud.ply"
         save_scene_ply(l2p.Scene(scene.xyz), cloud)
         rows = [run_reference(given.reference, cloud)]
-        rows += [run_l2p(cloud, threads) for threads in (1, None)]
+        rows += [run_l2p(cloud, *run) for run in RUNS]
     print(f"`python {' '.join([os.path.relpath(sys.argv[0]), *sys.argv[1:]])}`\n")
-    print(f"{given.lines} lines of {given.scene}, {ROUNDS} refinements, {os.cpu_count()} cores\n")
+    print(f"{given.lines} lines of {given.scene}, {ROUNDS} refinements of the heuristics, {os.cpu_count()} cores\n")
     show(rows, spacing(scene.xyz))
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -114,9 +115,18 @@ def find_peak(
 
 def _packed(beta: Float[Tensor, "lines k"], weight: Float[Tensor, "lines k"]) -> _Votes:
     absent = ~torch.isfinite(beta) | ~(weight > 0)
-    beta, order = beta.masked_fill(absent, torch.inf).sort(dim=1)
+    beta = beta.masked_fill(absent, torch.inf)
+    order = _order(beta)
     weight = torch.gather(weight.masked_fill(absent, 0), 1, order)
-    return _Votes(beta, weight, (~absent).sum(dim=1))
+    return _Votes(torch.gather(beta, 1, order), weight, (~absent).sum(dim=1))
+
+
+def _order(beta: Float[Tensor, "lines k"]) -> Int[Tensor, "lines k"]:
+    """What sorts the votes of each line; equal votes come in any order."""
+    if beta.device.type != "cpu":
+        return beta.argsort(dim=1)
+    # NumPy sorts with the processor's vector instructions, several times as fast as torch does.
+    return torch.from_numpy(np.argsort(beta.detach().numpy(), axis=1))
 
 
 def _trimmed(votes: _Votes, config: PeakConfig) -> _Votes:
