@@ -24,6 +24,7 @@ from l2p.methods import METHODS
 CHILD = """
 import collections, contextlib, json, sys, time
 begun, lines, method, threads = float(sys.argv[1]), sys.argv[2], sys.argv[3], int(sys.argv[4])
+memory = json.loads(sys.argv[5])
 import torch
 def peak():
     with open("/proc/self/status") as status:
@@ -48,7 +49,7 @@ with stage("read and write"):
     cloud = l2p.LineCloud.load(lines)
 known = set(seconds)
 start = time.perf_counter()
-result = l2p.recover(cloud, method=method, progress=Clock())
+result = l2p.recover(cloud, method=method, memory=memory, progress=Clock())
 attack = time.perf_counter() - start
 seconds["surroundings"] = attack - sum(value for name, value in seconds.items() if name not in known)
 with stage("read and write"):
@@ -62,7 +63,8 @@ def measure(count: int, given: argparse.Namespace) -> dict:
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "lines.npz"
         l2p.lift(l2p.simulate(given.kind, points=count, seed=0).xyz, seed=0).save(path)
-        command = [sys.executable, "-c", CHILD, str(time.time()), str(path), given.method, str(given.threads)]
+        words = [str(path), given.method, str(given.threads), json.dumps(given.memory)]
+        command = [sys.executable, "-c", CHILD, str(time.time()), *words]
         return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
 
 
@@ -74,6 +76,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--kind", default="room", help="kind of simulated scene (default: %(default)s)")
     parser.add_argument("--method", choices=METHODS, default="learned", help="(default: %(default)s)")
     parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: what torch chooses)")
+    parser.add_argument(
+        "--memory", type=float, metavar="GIB", help="that the attack may take (default: as its own)"
+    )
     return parser.parse_args()
 
 
