@@ -141,5 +141,5 @@ def in_range(array: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
 def _refuse(bad: np.ndarray, what: str, mend: str) -> None:
     """Raise for the first line that ``bad`` marks."""
     if bad.any():
-        first = f"first at line {int(np.argmax(bad))} as counted from 0"
-        raise InputError(f"got {int(bad.sum())} line(s) with a {what}, {first}; {mend}")
+        found = f"got {int(bad.sum())} line(s) with a {what}, first at line {int(np.argmax(bad))}"
+        raise InputError(f"{found}; {mend} (lines are counted from 0)")

@@ -116,7 +116,7 @@ def _inside(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("good.safetensors", "good.safetensors is a checkpoint (safetensors); expected a line cloud"),
         ("folder", "folder is a folder without points3D.bin or points3D.txt"),
         ("objects.npz", "objects.npz holds Python objects, which l2p never loads"),
-        ("nan.npz", "nan.npz: got 1 line(s) with a moment that is NaN, infinite or beyond 1e30, first at line 4 as"),
+        ("nan.npz", "nan.npz: got 1 line(s) with a moment that is NaN, infinite or beyond 1e30, first at line 4; rem"),
         ("infinite.npz", "infinite.npz: got 1 line(s) with a moment that is NaN, infinite or beyond 1e30, first at"),
         ("zero.npz", "zero.npz: got 1 line(s) with a direction of length other than 1, first at line 5"),
         ("skew.npz", "skew.npz: got 1 line(s) with a moment that is not perpendicular to its direction, first at l"),

@@ -129,9 +129,9 @@ UP, SIDE = np.tile([0.0, 0, 1], (4, 1)), np.tile([1.0, 0, 0], (4, 1))
         (UP, SIDE.ravel(), r"got moment of shape \(12,\); expected \(lines, 3\)"),
         (replaced(np.nan), SIDE, r"1 line\(s\) with a direction that is NaN, infinite or beyond 1e30, first at line 2"),
         (UP, replaced(np.inf), r"1 line\(s\) with a moment that is NaN, infinite or beyond 1e30, first at line 2"),
-        (UP * 0, SIDE, r"4 line\(s\) with a direction of length other than 1, first at line 0 as counted from 0"),
+        (UP * 0, SIDE, r"4 line\(s\) with a direction of length other than 1, first at line 0; normalise"),
         (replaced(0.1), SIDE, r"1 line\(s\) with a direction of length other than 1, first at line 2"),
-        (UP, UP, r"4 line\(s\) with a moment that is not perpendicular to its direction, first at line 0 as"),
+        (UP, UP, r"4 line\(s\) with a moment that is not perpendicular to its direction, first at line 0; store p x d"),
         (UP.astype(object), SIDE, r"got direction of type object; expected numbers"),
         (UP, SIDE.astype(complex), r"got moment of type complex128; expected numbers"),
         (UP.astype(str), SIDE, r"got direction of type <U\d+; expected numbers"),
@@ -149,11 +149,16 @@ def test_colours_must_match_the_lines():
         LineCloud(UP, SIDE, np.zeros((3, 3), dtype=np.uint8))
 
 
+def test_the_first_bad_line_is_counted_from_zero():
+    with pytest.raises(InputError, match=r"first at line 2; .* \(lines are counted from 0\)$"):
+        LineCloud(replaced(np.nan), SIDE)
+
+
 @pytest.mark.usefixtures("unchecked")
 def test_lines_through_points_need_a_direction_each():
     with pytest.raises(InputError, match="got 4 points and 3 directions; expected one direction a point"):
         LineCloud.through(SIDE, UP[:3])
-    with pytest.raises(InputError, match=r"got 4 line\(s\) with a direction of length 0, first at line 0 as"):
+    with pytest.raises(InputError, match=r"got 4 line\(s\) with a direction of length 0, first at line 0; remove"):
         LineCloud.through(SIDE, UP * 0)
     with pytest.raises(InputError, match=r"got 1 line\(s\) with a point that is NaN, infinite or .*, first at line 2"):
         LineCloud.through(replaced(np.nan), UP)
