@@ -73,6 +73,12 @@ GROUPS: dict[str, tuple[Variant, ...]] = {
                 ("network.layers=0", *without("density"))),
         Variant("state", "no states between lines", without("state")),
     ),
+    "smaller networks": (
+        Variant("small", "one layer, neither means nor feet as votes",
+                ("network.layers=1", *without("foot_vote", "mean_vote"))),
+        Variant("smallest", "the same without layers and densities",
+                ("network.layers=0", *without("foot_vote", "mean_vote", "density"))),
+    ),
     "size": (
         Variant("width32", "width 32", ("network.width=32",)),
         Variant("width96", "width 96", ("network.width=96",)),

@@ -31,6 +31,13 @@ PROGRAM = "Recover.py"
 #: What the program prints when its points are loaded and its attack begins.
 BEGIN = "Finding Coarse Estimates"
 ROUNDS = 3
+#: Rows of this package: a name, and what is given to ``l2p recover``.
+RUNS: tuple[tuple[str, list[object]], ...] = (
+    ("heuristic, `--threads 1`", ["--method", "heuristic", "--rounds", ROUNDS, "--threads", 1]),
+    ("heuristic, as it comes", ["--method", "heuristic", "--rounds", ROUNDS]),
+    ("learned, `--rounds 1`", ["--method", "learned", "--rounds", 1]),
+    ("learned", ["--method", "learned"]),
+)
 
 
 @dataclass(frozen=True)
@@ -84,15 +91,6 @@ def run_reference(folder: Path, cloud: Path) -> Row:
 def _children_cpu() -> float:
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
-
-
-#: Rows of this package: a name, and what is given to ``l2p recover``.
-RUNS: tuple[tuple[str, list[object]], ...] = (
-    ("heuristic, `--threads 1`", ["--method", "heuristic", "--rounds", ROUNDS, "--threads", 1]),
-    ("heuristic", ["--method", "heuristic", "--rounds", ROUNDS]),
-    ("learned, `--rounds 1`", ["--method", "learned", "--rounds", 1]),
-    ("learned", ["--method", "learned"]),
-)
 
 
 def run_l2p(cloud: Path, name: str, words: list[object]) -> Row:

@@ -76,7 +76,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--kind", default="room", help="kind of simulated scene (default: %(default)s)")
     parser.add_argument("--method", choices=METHODS, default="learned", help="(default: %(default)s)")
     parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: what torch chooses)")
-    parser.add_argument("--memory", type=float, metavar="GIB", help="that the attack may take (default: as its own)")
+    parser.add_argument("--memory", type=float, metavar="GIB", help="for the attack (default: a share of what is free)")
     return parser.parse_args()
 
 
