@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from l2p.geometry import PARALLEL, Lines
+from l2p.search import nearest_points_to_points
 from l2p.sharding import ALONE, Shards
 from l2p.surfaces import Surface, crossing, fitted
 from l2p.threads import over_blocks
@@ -75,6 +76,14 @@ class Nodes(NamedTuple):
     typical: Float[Tensor, ""]
 
 
+class Told(NamedTuple):
+    """What the lines tell each other of their estimates between two rounds; their nodes follow from it."""
+
+    beta: Float[Tensor, " lines"]
+    confidence: Float[Tensor, " lines"]
+    state: Float[Tensor, "lines state"]
+
+
 class Edges(NamedTuple):
     """Candidates of some lines: their votes, and features of each pair.
 
@@ -131,21 +140,32 @@ def surroundings(
     def of_all(parts: Sequence[Tensor]) -> Tensor:
         return shards.gather(torch.cat(list(parts)).to(beta.device), len(place))
 
-    reach = of_all(reaches).cpu()
-    # Coinciding estimates have no scale of their own; the scene's typical one stands in.
-    floor = 1e-3 * reach[reach > 0].median() if (reach > 0).any() else torch.ones(())
-    scale = reach.clamp_min(floor)
+    scale = _floored(of_all(reaches))
     return Nodes(
         beta=beta,
         point=point,
-        scale=scale.to(beta.device),
+        scale=scale,
         surface=Surface(*map(of_all, zip(*surfaces, strict=True))),
         wide=Surface(*map(of_all, zip(*wides, strict=True))),
         crowd=of_all(crowds),
         confidence=confidence,
         state=state,
-        typical=scale.median().to(beta.device),
+        typical=scale.median(),
     )
+
+
+def local_scale(lines: Lines, beta: Float[Tensor, " lines"], shards: Shards = ALONE) -> Float[Tensor, " lines"]:
+    """The local scale of each estimate, as in its surroundings."""
+    point = lines.at(beta)
+    near = nearest_points_to_points(point, SCALE, shards=shards)
+    reach = near.distance[:, -1] if near.distance.shape[1] else torch.zeros_like(point[shards.own(len(point)), 0])
+    return _floored(shards.gather(reach, len(point)))
+
+
+def _floored(reach: Float[Tensor, " lines"]) -> Float[Tensor, " lines"]:
+    """Coinciding estimates have no scale of their own; the scene's typical one stands in."""
+    apart = reach[reach > 0]
+    return reach.clamp_min(1e-3 * apart.median() if len(apart) else 1.0)
 
 
 def edges(

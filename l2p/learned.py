@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from l2p.errors import InputError
-from l2p.features import STATE, Nodes, edges, surroundings
+from l2p.features import STATE, Nodes, Told, edges, local_scale, surroundings
 from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.neighborhoods import Estimate, in_own_order
@@ -33,8 +33,6 @@ from l2p.tomography import Posterior, TomographyConfig, mass_within, modes, reco
 
 #: Of the radii, the one that the lines around are told the confidence of.
 _TOLD = RADII.index(1.0)
-#: Of the nodes, what the next round cannot find anew.
-_KEPT = ("beta", "confidence", "state")
 #: Points of maps lie on surfaces, and in bunches on them: the dimension that spacings of thinned training scenes show.
 _DIMENSION = 1.9
 
@@ -75,10 +73,10 @@ class LearnedConfig:
 
 
 class Round(NamedTuple):
-    """What a round finds: the nodes of the next one, and of the lines of this process the candidates with their
-    affinities, and how sure it is of each estimate (logits, see :class:`l2p.network.Judgement`)."""
+    """What a round finds: what all lines are told in the next one, and of the lines of this process the candidates with
+    their affinities, and how sure it is of each estimate (logits, see :class:`l2p.network.Judgement`)."""
 
-    nodes: Nodes
+    told: Told
     candidates: Int[Tensor, "own k"]
     affinity: Float[Tensor, "own k"]
     sure: Float[Tensor, "own radii"]
@@ -90,7 +88,7 @@ def first_nodes(lines: Lines, posterior: Posterior, shards: Shards = ALONE) -> N
     mode, _ = modes(posterior)
     beta = shards.gather(mode, count)
     state = beta.new_zeros(count, STATE)
-    scale = surroundings(lines, beta, torch.ones_like(beta), state, shards).scale[shards.own(count)]
+    scale = local_scale(lines, beta, shards)[shards.own(count)]
     return surroundings(lines, beta, shards.gather(mass_within(posterior, mode, scale), count), state, shards)
 
 
@@ -132,8 +130,8 @@ def judge_round(
                 state[block], sure[block] = judgement.state, judgement.sure
                 affinity[block] = torch.sigmoid(judgement.affinity)
                 advance(block.stop - block.start)
-    beta, confidence, state = (shards.gather(part, len(nodes.beta)) for part in (beta, told(sure), state))
-    return Round(surroundings(lines, beta, confidence, state, shards), candidates, affinity, sure)
+    found = Told(*(shards.gather(part, len(nodes.beta)) for part in (beta, told(sure), state)))
+    return Round(found, candidates, affinity, sure)
 
 
 def judging_bytes(network: LineTransformer, k: int) -> float:
@@ -205,30 +203,30 @@ class Learned:
         shards = rounds.shards
         network = self.network.to(lines.direction.device)
         posterior = reconstruct(lines, TomographyConfig(), progress, shards)
+        own = shards.own(len(lines.direction))
         done, nodes = self._begun(lines, posterior, rounds)
         if not self.config.rounds:
             candidates = find_candidates(lines, nodes, self.config, progress, shards)
             affinity = (candidates >= 0).to(nodes.beta.dtype)
-            own = shards.own(len(nodes.beta))
             return Estimate(nodes.beta[own], nodes.confidence[own], candidates, affinity)
         found = None
         for number in range(done, self.config.rounds):
+            if found is not None:
+                nodes = surroundings(lines, *found.told, shards)
             found = judge_round(lines, nodes, posterior, network, self.config, progress, shards)
-            nodes = found.nodes
             if number + 1 < self.config.rounds:
-                rounds.keep(number + 1, {name: getattr(nodes, name) for name in _KEPT})
+                rounds.keep(number + 1, found.told._asdict())
         assert found is not None
-        own = shards.own(len(nodes.beta))
-        return Estimate(nodes.beta[own], self.confidence(found), found.candidates, found.affinity)
+        return Estimate(found.told.beta[own], self.confidence(found), found.candidates, found.affinity)
 
     def _begun(self, lines: Lines, posterior: Posterior, rounds: Rounds) -> tuple[int, Nodes]:
         """How many rounds are done, and what is known after them."""
         number = lines.direction[:, 0]
-        like = {"beta": number, "confidence": number, "state": number.new_zeros(len(number), STATE)}
-        done, kept = rounds.last(like)
+        like = Told(number, number, number.new_zeros(len(number), STATE))
+        done, kept = rounds.last(like._asdict())
         if not done:
             return 0, first_nodes(lines, posterior, rounds.shards)
-        return done, surroundings(lines, kept["beta"], kept["confidence"], kept["state"], rounds.shards)
+        return done, surroundings(lines, **kept, shards=rounds.shards)
 
     def confidence(self, found: Round) -> Float[Tensor, " own"]:
         """Calibrated probability that each point of the last round lies within 1 spacing of the map."""

@@ -45,6 +45,12 @@ def room(size: int | None) -> Iterator[None]:
         _room.reset(before)
 
 
+def shared(ways: int) -> int | None:
+    """The room of each of so many blocks at a time."""
+    size = _room.get()
+    return None if size is None else size // ways
+
+
 def fitting(most: int, each: float) -> int:
     """How many items of ``each`` bytes a block takes: ``most``, which is fastest, or as many as there is room for."""
     size = _room.get()

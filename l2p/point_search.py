@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -27,10 +28,11 @@ from l2p.geometry import Lines
 from l2p.memory import fitting
 from l2p.point_tree import Pairs, PointTree, reach
 from l2p.progress import Progress
+from l2p.threads import even_size, over_blocks
 
 #: Most lines of a block, and most pairs of its lines with leaves, and with points; where there are more, blocks become
 #: smaller.
-_BLOCK, _PAIRS = 1 << 15, 1 << 22
+_BLOCK, _PAIRS = 1 << 13, 1 << 22
 #: Bytes of temporaries of a line and of a pair, each twice what it takes: both are there together.
 _LINE_BYTES, _PAIR_BYTES = 3200, 80
 #: A block with no more pairs of lines and points than this is measured whole rather than made smaller.
@@ -82,14 +84,15 @@ def nearest_points(
     """
     count = len(lines.direction)
     index = torch.empty(count, k, dtype=torch.int32, device=lines.direction.device)
-    radius = torch.empty_like(lines.direction[:, 0])
     rows = torch.arange(count, device=index.device)
     with progress.task(title, total=count) as advance:
-        for growth in (None, *_GROWTH):
+        # One more than k, for the line's own point.
+        radius = _guess(tree, lines, k + 1)
+        for growth in (1.0, *_GROWTH):
             missed = [rows[:0]]
-            wanted = None if growth is None else growth * radius
-            # One more than k, for the line's own point.
-            for part, found in _blocks(tree, lines, rows, wanted, k + 1):
+            search = partial(_search, tree, lines, rows, growth * radius, k + 1, tighten=growth == 1)
+            for block, found in over_blocks(search, len(rows), even_size(len(rows), _BLOCK), index.device):
+                part = rows[block]
                 index[part] = _without_own(found.index, part + first)
                 radius[part] = found.radius
                 missed.append(part[~found.enough])
@@ -101,23 +104,33 @@ def nearest_points(
     return index
 
 
-def _blocks(
-    tree: PointTree, lines: Lines, rows: Int[Tensor, " rows"], radius: Float[Tensor, " lines"] | None, k: int
-) -> Iterator[tuple[Int[Tensor, " part"], _Found]]:
-    """Search for the points nearest to some of the lines; without a radius it is guessed."""
-    begin, block = 0, _BLOCK
-    while begin < len(rows):
-        part = rows[begin : begin + block]
-        some = lines.rows(part)
-        if radius is None:
-            found = _in_pieces(tree, some, _guess(tree, some, k), k, tighten=True)
-        else:
-            found = _in_pieces(tree, some, radius[part], k, tighten=False)
-        if found is None and len(part) > 1 and len(part) * tree.index.numel() > _ALL:
-            block = len(part) // 2
-            continue
-        begin += len(part)
-        yield part, found or _among_all(tree, some, k)
+def _search(
+    tree: PointTree,
+    lines: Lines,
+    rows: Int[Tensor, " rows"],
+    radius: Float[Tensor, " lines"],
+    k: int,
+    block: slice,
+    *,
+    tighten: bool,
+) -> _Found:
+    """The points nearest to a block of rows, which are some of the lines."""
+    part = rows[block]
+    some = lines.rows(part)
+    found = _in_pieces(tree, some, radius[part], k, tighten=tighten)
+    if found is not None:
+        return found
+    if len(part) == 1 or len(part) * tree.index.numel() <= _ALL:
+        return _among_all(tree, some, k)
+    middle = (block.start + block.stop) // 2
+    halves = slice(block.start, middle), slice(middle, block.stop)
+    return _joined([_search(tree, lines, rows, radius, k, half, tighten=tighten) for half in halves])
+
+
+def _joined(parts: list[_Found]) -> _Found:
+    """What was found for parts of a block."""
+    index, enough, radius = (torch.cat(column) for column in list(zip(*parts, strict=True))[:3])
+    return _Found(index, enough, radius)
 
 
 def _without_own(found: Int[Tensor, "rows more"], own: Int[Tensor, " rows"]) -> Int[Tensor, "rows k"]:
@@ -156,15 +169,17 @@ def _guess(tree: PointTree, lines: Lines, k: int) -> Float[Tensor, " lines"]:
     """A distance that most likely holds k points, by the sample of all."""
     size = tree.sample.shape[1]
     rank = min(_rank(k, size / tree.index.numel()), size)
-    parts = []
-    for part in _projection(lines).split(max(1, _TILE // size)):
-        square = _squares(part, tree.sample)
+
+    def guessed(block: slice) -> Float[Tensor, " rows"]:
+        square = _squares(_projection(lines.rows(block)), tree.sample)
         # Minima of a few each: most of the nearest are in different ones, and there is less to choose from.
         while square.shape[1] >= 16 * rank:
             half = square.shape[1] // 2
             square = torch.minimum(square[:, :half], square[:, half : 2 * half])
-        parts.append(torch.topk(square, rank, dim=1, largest=False, sorted=False).values.amax(dim=1))
-    radius = torch.cat(parts).sqrt()
+        return torch.topk(square, rank, dim=1, largest=False, sorted=False).values.amax(dim=1)
+
+    tiles = over_blocks(guessed, len(lines.direction), max(1, _TILE // size), lines.direction.device)
+    radius = torch.cat([lines.direction[:0, 0], *(part for _, part in tiles)]).sqrt()
     # Where points coincide on a line, the distance is rounding alone, or 0.
     return radius * (1 + 1e-5) + 1e-6 * radius.median() + torch.finfo(radius.dtype).tiny ** 0.25
 
@@ -191,10 +206,7 @@ def _in_pieces(
             left += rows.split((len(rows) + 1) // 2)[::-1]
         else:
             return None
-    if len(parts) == 1:
-        return parts[0]
-    index, enough, reached = (torch.cat(column) for column in list(zip(*parts, strict=True))[:3])
-    return _Found(index, enough, reached)
+    return _joined(parts)
 
 
 def _within(

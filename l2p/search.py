@@ -9,8 +9,8 @@ Lines may be shared out over processes (:mod:`l2p.sharding`): ``shards`` says wh
 all others.
 
 Self (query i against other i) is never a neighbour. Parallel pairs of lines have no distance. Rows are sorted by
-distance; where a query has fewer than k neighbours, the rest is index -1 at distance infinity. With k >= lines the
-answer has lines - 1 columns; a single line has none.
+distance, and by index where that is equal; where a query has fewer than k neighbours, the rest is index -1 at distance
+infinity. With k >= lines the answer has lines - 1 columns; a single line has none.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from l2p.point_search import nearest_points
 from l2p.point_tree import plant
 from l2p.progress import NO_PROGRESS, Progress
 from l2p.sharding import ALONE, Shards
+from l2p.threads import even_size, over_blocks
 
 #: Numbers in one tile of distances: 8 MB in single precision, so that a tile and its temporaries stay near the cache.
 TILE = 1 << 21
@@ -90,7 +91,7 @@ def nearest_points_to_lines(
     Notes
     -----
     O(lines^2) time, O(lines k + tile) memory; from ``MANY`` lines on nearly O(lines) where the points lie on surfaces,
-    O(lines^(4/3)) where they fill space, and up to 256 MB besides the answer.
+    O(lines^(4/3)) where they fill space, and up to 256 MB a thread besides the answer.
     """
     title = "nearest points to lines"
     unit = torch.ones_like(points[:, 0]) if scale is None else scale
@@ -254,11 +255,16 @@ def _sorted(
     """Distances of the chosen pairs, computed anew pair by pair, and the rows sorted by them."""
     count, k = index.shape
     parts = [torch.empty(0, k, device=index.device)]
-    rows = max(1, tile // max(1, 64 * k))
-    for begin in range(0, count, rows):
-        here = slice(begin, min(begin + rows, count))
-        part = distance(here, index[here].long()).masked_fill(index[here] < 0, torch.inf)
-        part, order = part.sort(dim=1)
-        index[here] = torch.gather(index[here], 1, order).masked_fill(part == torch.inf, -1)
-        parts.append(part)
+
+    def measured(here: slice) -> Float[Tensor, "rows k"]:
+        # Equal distances in the order of their indices, whatever the search met first.
+        found = index[here].sort(dim=1).values
+        part = distance(here, found.long()).masked_fill(found < 0, torch.inf)
+        part, order = part.sort(dim=1, stable=True)
+        index[here] = torch.gather(found, 1, order).masked_fill(part == torch.inf, -1)
+        return part
+
+    # A tile is at most 64 numbers a pair.
+    size = even_size(count, max(1, tile // max(1, 64 * k)))
+    parts += [part for _, part in over_blocks(measured, count, size, index.device)]
     return Nearest(index, torch.cat(parts[1:] or parts))

@@ -11,6 +11,7 @@ import torch
 import l2p
 from l2p.attack import run
 from l2p.errors import InputError
+from l2p.features import Told, surroundings
 from l2p.frame import Frame
 from l2p.learned import Learned, LearnedConfig, Round, _between, first_nodes, judge_round, spacing_ratio
 from l2p.lines import LineCloud
@@ -78,7 +79,7 @@ def test_threads_change_nothing(lines: LineCloud) -> None:
             finally:
                 torch.set_num_threads(before)
     one, two = found
-    assert torch.equal(one.nodes.beta, two.nodes.beta)
+    assert torch.equal(one.told.beta, two.told.beta)
     assert torch.equal(one.affinity, two.affinity)
     assert torch.equal(one.sure, two.sure)
 
@@ -157,10 +158,9 @@ def test_a_round_starts_where_the_one_before_ended(lines: LineCloud, first: Reco
         order = own_order(entered)
         inside = entered.rows(order)
         posterior = reconstruct(inside)
-        nodes = first_nodes(inside, posterior)
-        for _ in range(2):
-            nodes = judge_round(inside, nodes, posterior, method.network, method.config).nodes
-    np.testing.assert_array_equal(first.beta, frame.leave(lines, nodes.beta[order.argsort()]))
+        before = judge_round(inside, first_nodes(inside, posterior), posterior, method.network, method.config)
+        after = judge_round(inside, surroundings(inside, *before.told), posterior, method.network, method.config)
+    np.testing.assert_array_equal(first.beta, frame.leave(lines, after.told.beta[order.argsort()]))
     assert not np.allclose(first.beta, run(lines, attack(rounds=1)).beta, atol=1e-3)
 
 
@@ -172,23 +172,20 @@ def test_calibration_of_the_last_round_makes_the_confidence(lines: LineCloud, fi
     np.testing.assert_array_equal(recovery.xyz, first.xyz)
 
 
-def found(sure: torch.Tensor, points: torch.Tensor, lines: LineCloud) -> Round:
-    """A round that found these points with these logits."""
-    inside = Frame.of(lines).enter(lines)
-    nodes = first_nodes(inside, reconstruct(inside))._replace(point=points)
-    nothing = torch.zeros(len(lines), 0)
-    return Round(nodes, nothing.int(), nothing, sure)
+def found(sure: torch.Tensor) -> Round:
+    """A round with these logits."""
+    nothing = torch.zeros(len(sure), 0)
+    return Round(Told(nothing.sum(dim=1), torch.sigmoid(sure[:, 0]), nothing), nothing.int(), nothing, sure)
 
 
-def test_each_radius_has_a_calibration_of_its_own(lines: LineCloud) -> None:
+def test_each_radius_has_a_calibration_of_its_own() -> None:
     """The confidence is that of radius 1; what is within a smaller radius is within it, too."""
-    sure = torch.randn(len(lines), len(RADII), generator=torch.Generator().manual_seed(0)).cumsum(dim=1)
-    points = torch.randn(len(lines), 3, generator=torch.Generator().manual_seed(1))
+    sure = torch.randn(300, len(RADII), generator=torch.Generator().manual_seed(0)).cumsum(dim=1)
     pairs = [(1.0, 0.5), (2.0, 0.0), (0.5, -2.0), (1.5, -0.3), (1.0, 9.0)]
     method = attack(calibration=[[(7.0, 7.0)] * len(RADII), pairs])
     upto = [a * sure[:, place] + b for place, (a, b) in enumerate(pairs)][: RADII.index(1.0) + 1]
     expected = torch.sigmoid(torch.stack(upto, dim=1).amax(dim=1))
-    torch.testing.assert_close(method.confidence(found(sure, points, lines)), expected)
+    torch.testing.assert_close(method.confidence(found(sure)), expected)
 
 
 def test_more_rounds_than_calibrations_are_refused() -> None:

@@ -17,7 +17,7 @@ pytest.importorskip("hydra", reason="the training program needs the extra train:
 
 import l2p
 from l2p.errors import InputError
-from l2p.features import Edges
+from l2p.features import Edges, surroundings
 from l2p.frame import Frame
 from l2p.learned import LearnedConfig, find_candidates, judge_round, weighted_peak
 from l2p.network import LineTransformer, NetworkConfig
@@ -194,10 +194,11 @@ def test_the_state_before_a_round_is_what_the_round_before_found(sources: Source
         cloud = before.cloud
         assert after.cloud is cloud
         found = judge_round(cloud.lines, before.nodes, cloud.posterior, network, CONFIG)
-        for name, left, right in zip(found.nodes._fields, found.nodes, after.nodes, strict=True):
+        nodes = surroundings(cloud.lines, *found.told)
+        for name, left, right in zip(nodes._fields, nodes, after.nodes, strict=True):
             torch.testing.assert_close(left, right, atol=1e-5, rtol=1e-5, msg=lambda text, name=name: f"{name}: {text}")
         torch.testing.assert_close(found.sure, before.sure, atol=1e-5, rtol=1e-5)
-        assert torch.equal(find_candidates(cloud.lines, found.nodes, CONFIG), after.candidates)
+        assert torch.equal(find_candidates(cloud.lines, nodes, CONFIG), after.candidates)
         assert not torch.equal(before.nodes.beta, after.nodes.beta)
     fresh = rounds[2][2]
     torch.testing.assert_close(fresh.nodes, fresh.cloud.first_nodes)

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from l2p.threads import over_blocks
+from l2p.memory import fitting, room
+from l2p.threads import even_size, over_blocks
 
 
 @pytest.fixture(params=[1, 2, 3])
@@ -68,3 +69,22 @@ def test_an_error_in_a_block_is_raised_and_ends_the_work(threads: int) -> None:
         list(over_blocks(work, 100, 1))
     assert len(begun) < 50
     assert torch.get_num_threads() == threads
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 5, 999, 1000, 1001, 6001])
+def test_every_thread_has_as_many_blocks(threads: int, count: int) -> None:
+    size = even_size(count, 1000)
+    assert 1 <= size <= 1000
+    blocks = -(-count // size)
+    # Less only where there are not so many rows.
+    assert blocks % threads == 0 or count < threads * threads
+    assert blocks <= max(threads, count // 1000 + threads)
+
+
+@pytest.mark.parametrize("row_bytes", [0, 3])
+def test_blocks_share_the_room(threads: int, row_bytes: int) -> None:
+    """Of 100 bytes, though they run in threads of their own."""
+    with room(100):
+        seen = {part for _, part in over_blocks(lambda _: fitting(10**6, 1), 20, 10, row_bytes=row_bytes)}
+    assert seen == {100 // min(threads, 100 // (10 * row_bytes or 1))}
+    assert all(part == 10**6 for _, part in over_blocks(lambda _: fitting(10**6, 1), 20, 10))

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
+from l2p.features import surroundings
 from l2p.learned import LearnedConfig, judge_round
 from l2p.metrics import calibration_error
 from l2p.network import RADII, LineTransformer
@@ -32,10 +33,11 @@ class Judged:
 def rounds_of(cloud: Cloud, network: LineTransformer, config: LearnedConfig) -> list[Judged]:
     """What every round finds on a cloud."""
     nodes, found = cloud.first_nodes, []
-    for _ in range(config.rounds):
+    for number in range(config.rounds):
         result = judge_round(cloud.lines, nodes, cloud.posterior, network, config)
-        nodes = result.nodes
-        found.append(Judged((nodes.beta - cloud.true_beta).abs() / cloud.spacing, result.sure))
+        found.append(Judged((result.told.beta - cloud.true_beta).abs() / cloud.spacing, result.sure))
+        if number + 1 < config.rounds:
+            nodes = surroundings(cloud.lines, *result.told)
     return found
 
 
