@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from enum import Enum
 from os import PathLike
 from pathlib import Path
@@ -70,7 +71,7 @@ def kind_of(path: str | PathLike[str]) -> Kind:
         return _npz_kind(path)
     if head.startswith(b"ply"):
         header = head.split(b"end_header")[0]
-        return Kind.LINES_PLY if b"\nelement edge" in header.replace(b"\r", b"\n") else Kind.SCENE_PLY
+        return Kind.LINES_PLY if re.search(rb"[\r\n]element\s+edge\s", header) else Kind.SCENE_PLY
     return Kind.CHECKPOINT if _is_safetensors(head) else _text_kind(path, head)
 
 

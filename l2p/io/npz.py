@@ -122,11 +122,11 @@ class Fields:
         """The string ``name``."""
         array = self.take(name, "U", ())
         try:
-            text = str(array.item())
-            text.encode("utf-8")  # half of a surrogate pair is no text
+            # Beyond the last character NumPy makes strings that Python cannot hold.
+            codes = array.astype(array.dtype.newbyteorder("<")).tobytes()
+            return codes.decode("utf-32-le").rstrip("\0")
         except ValueError as error:
             raise InputError(f"{self.path} has a {name} that is no text; write the file again") from error
-        return text
 
     def take_optional_text(self, name: str) -> str | None:
         """The string ``name`` if the file has it."""

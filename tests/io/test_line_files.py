@@ -342,6 +342,35 @@ def test_a_wrong_ply_is_explained(tmp_path, vertex, edge, message):
         load_lines(tmp_path / "bad.ply")
 
 
+def test_elements_whose_name_begins_with_edge_are_no_lines(tmp_path):
+    header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+    (tmp_path / "bad.ply").write_text(f"{header}element edgege 1\nproperty int vertex1\nend_header\n0 0 0\n0\n")
+    with pytest.raises(InputError, match="expected a line cloud"):
+        load_lines(tmp_path / "bad.ply")
+
+
+@pytest.mark.parametrize("code", [0x110000, 0x7FFFFFFF, 0xD800])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_scheme_that_is_no_text_is_refused(tmp_path, code, order):
+    """Codes beyond the last character, which NumPy reads all the same, and half of a surrogate pair."""
+    scheme = np.array([code], dtype=f"{order}u4").view(f"{order}U1").reshape(())
+    direction = np.eye(3)
+    arrays = {"direction": direction, "moment": np.roll(direction, 1, axis=0), "scheme": scheme, "version": 1}
+    np.savez(tmp_path / "bad.npz", **arrays)
+    with pytest.raises(InputError, match=r"bad.npz has a scheme that is no text"):
+        load_lines(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("text", ["", "uniform", "naïve 線 \U0001d54f"])
+def test_any_text_is_read_in_either_byte_order(tmp_path, order, text):
+    direction = np.eye(3)
+    scheme = np.array(text, dtype=np.array(text).dtype.newbyteorder(order))
+    arrays = {"direction": direction, "moment": np.roll(direction, 1, axis=0), "scheme": scheme, "version": 1}
+    np.savez(tmp_path / "lines.npz", **arrays)
+    assert load_lines(tmp_path / "lines.npz").scheme == text
+
+
 def test_a_ply_with_an_empty_list_is_read_without_a_word(tmp_path, recwarn):
     path = tmp_path / "lines.ply"
     vertex = "element vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
