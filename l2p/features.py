@@ -18,7 +18,7 @@ from torch import Tensor
 from l2p.geometry import PARALLEL, Lines
 from l2p.search import nearest_points_to_points
 from l2p.sharding import ALONE, Shards
-from l2p.surfaces import Surface, crossing, fitted
+from l2p.surfaces import Surface, crossing, fitted, picked
 from l2p.threads import over_blocks
 from l2p.tomography import Posterior
 
@@ -181,8 +181,8 @@ def edges(
     index = candidates.clamp_min(0).long()
     own = lines.rows(rows)
     # Only what the rows need is touched: the cost of a batch does not depend on the number of lines.
-    direction, moment, point = (column[index] for column in (lines.direction, lines.moment, nodes.point))
-    scale, confidence, crowd = (column[index] for column in (nodes.scale, nodes.confidence, nodes.crowd))
+    direction, moment, point = (picked(column, index) for column in (lines.direction, lines.moment, nodes.point))
+    scale, confidence, crowd = (picked(column, index) for column in (nodes.scale, nodes.confidence, nodes.crowd))
     d, o, here = own.direction[:, None], own.foot[:, None], nodes.point[rows][:, None]
     beta = nodes.beta[rows][:, None]
     cosine = (d * direction).sum(-1)
@@ -207,8 +207,7 @@ def edges(
             _compressed(line_point / scale),
             _compressed((here - point).norm(dim=-1) / scale),
             cosine.abs(),
-            _log_posterior(posterior, rows - first, foot, scale),
-            _log_posterior(posterior, rows - first, closest, scale),
+            *_log_posterior(posterior, rows - first, (foot, closest), scale),
             confidence,
             nodes.confidence[rows][:, None].expand_as(confidence),
             crowd,
@@ -233,7 +232,7 @@ def edges(
     farthest = _FARTHEST_CUT * scale
     cuts = [foot + torch.maximum(torch.minimum(crossing.cut, farthest), -farthest) for crossing in crossings]
     vote = torch.stack([closest, foot, *cuts], dim=2) - beta[..., None]
-    return Edges(vote, gap, scale, confidence, feature, nodes.state[index], sign, valid, candidates)
+    return Edges(vote, gap, scale, confidence, feature, picked(nodes.state, index), sign, valid, candidates)
 
 
 def _closest(d: Tensor, o: Tensor, direction: Tensor, moment: Tensor, cosine: Tensor, sine2: Tensor) -> Tensor:
@@ -254,11 +253,15 @@ def _compressed(value: Float[Tensor, "*any"]) -> Float[Tensor, "*any"]:
 
 
 def _log_posterior(
-    posterior: Posterior, rows: Int[Tensor, " rows"], place: Float[Tensor, "rows k"], scale: Float[Tensor, "rows k"]
-) -> Float[Tensor, "rows k"]:
-    """Logarithm of the tomographic posterior mass within about one local scale of a place on the line."""
+    posterior: Posterior,
+    rows: Int[Tensor, " rows"],
+    places: Sequence[Float[Tensor, "rows k"]],
+    scale: Float[Tensor, "rows k"],
+) -> list[Float[Tensor, "rows k"]]:
+    """Logarithm of the tomographic posterior mass within about one local scale of places on the line."""
     beta, order = posterior.beta[rows].sort(dim=1)
     mass = torch.nn.functional.pad(posterior.probability[rows].gather(1, order).cumsum(dim=1), (1, 0))
-    low = torch.searchsorted(beta, (place - scale).contiguous())
-    high = torch.searchsorted(beta, (place + scale).contiguous())
-    return torch.log((mass.gather(1, high) - mass.gather(1, low)).clamp_min(0) + 1e-4)
+    ends = torch.cat([place + sign * scale for place in places for sign in (-1, 1)], dim=1)
+    below = mass.gather(1, torch.searchsorted(beta, ends)).chunk(2 * len(places), dim=1)
+    within = zip(below[::2], below[1::2], strict=True)
+    return [torch.log((high - low).clamp_min(0) + 1e-4) for low, high in within]

@@ -59,7 +59,7 @@ class LearnedConfig:
 
     rounds: int = 4
     candidates: int = 48
-    batch: int = 64
+    batch: int = 128
     peak: PeakConfig = PeakConfig(threshold=0.5, trim=0)
     weight: str = "vote"
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 #: Statistics that differ by less than this differ by rounding.
@@ -130,6 +130,8 @@ def _order(beta: Float[Tensor, "lines k"]) -> Int[Tensor, "lines k"]:
 
 
 def _trimmed(votes: _Votes, config: PeakConfig) -> _Votes:
+    if config.trim == 0:
+        return votes
     trim = ((votes.count - config.minimum) // 2).clamp(0, config.trim)
     everything = torch.arange(len(votes.count), device=votes.count.device)
     return _slice(votes, everything, trim, votes.count - 2 * trim)
@@ -141,26 +143,28 @@ def _slice(
     """Votes first ... first + count - 1 of the chosen lines, packed to the left and as narrow as they allow."""
     width = int(count.max()) if len(count) else 0
     position = torch.arange(width, device=count.device)
-    present = position < count[:, None]
-    index = (first[:, None] + position).clamp_max(max(votes.beta.shape[1] - 1, 0))
-    source = rows[:, None]
-    beta = votes.beta[source, index].masked_fill(~present, torch.inf)
-    return _Votes(beta, votes.weight[source, index].masked_fill(~present, 0), count)
+    absent = position >= count[:, None]
+    index = (first[:, None] + position).clamp_max_(max(votes.beta.shape[1] - 1, 0))
+    beta, weight = votes.beta, votes.weight
+    if len(rows) < len(beta):
+        beta, weight = beta.index_select(0, rows), weight.index_select(0, rows)
+    beta, weight = torch.gather(beta, 1, index), torch.gather(weight, 1, index)
+    return _Votes(beta.masked_fill_(absent, torch.inf), weight.masked_fill_(absent, 0), count)
 
 
 def _interval(votes: _Votes, rule: str) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines"], Float[Tensor, " lines"]]:
     """First and last vote of the peak of each line, and Kuiper's statistic of it."""
-    present = torch.arange(votes.beta.shape[1], device=votes.beta.device) < votes.count[:, None]
+    absent = torch.arange(votes.beta.shape[1], device=votes.beta.device) >= votes.count[:, None]
     last = votes.count[:, None] - 1
     start, end = votes.beta[:, :1], torch.gather(votes.beta, 1, last)
     span = end - start
-    uniform = ((votes.beta - start) / span.clamp_min(torch.finfo(votes.beta.dtype).tiny)).masked_fill(~present, 1)
+    uniform = ((votes.beta - start) / span.clamp_min(torch.finfo(votes.beta.dtype).tiny)).masked_fill_(absent, 1)
     cumulative = votes.weight.cumsum(dim=1)
     total = torch.gather(cumulative, 1, last)
     after = cumulative / total - uniform
     before = (cumulative - votes.weight) / total - uniform
-    before, after = before.masked_fill(~present, torch.inf), after.masked_fill(~present, -torch.inf)
-    low, high, value = _single_peak(before, after) if rule == "single" else _best_segment(before, after, present)
+    before, after = before.masked_fill_(absent, torch.inf), after.masked_fill_(absent, -torch.inf)
+    low, high, value = _single_peak(before, after) if rule == "single" else _best_segment(before, after)
     # All votes in one place: F - U means nothing there.
     return low, high, value.masked_fill(span[:, 0] <= 0, 0).clamp(0, 1)
 
@@ -175,11 +179,11 @@ def _single_peak(
 
 
 def _best_segment(
-    before: Float[Tensor, "lines k"], after: Float[Tensor, "lines k"], present: Bool[Tensor, "lines k"]
+    before: Float[Tensor, "lines k"], after: Float[Tensor, "lines k"]
 ) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines"], Float[Tensor, " lines"]]:
     """Cut where U overtakes F between two votes; each segment then falls to a least F - U and rises to a greatest."""
-    cut = (after[:, :-1] > 0) & (before[:, 1:] <= 0) & present[:, 1:]
-    segment = torch.nn.functional.pad(cut.long().cumsum(dim=1), (1, 0))
+    cut = (after[:, :-1] > 0) & (before[:, 1:] <= 0)
+    segment = torch.nn.functional.pad(cut.cumsum(dim=1), (1, 0))
     segments = int(segment.max()) + 1
     shape = (before.shape[0], segments)
     lowest = before.new_full(shape, torch.inf).scatter_reduce(1, segment, before, "amin")

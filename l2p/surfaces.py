@@ -27,6 +27,11 @@ _LEAST = 0.05
 _GRAZING = 0.05
 
 
+def picked(column: Float[Tensor, "lines ..."], index: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k ..."]:
+    """``column[index]``, which torch does in a third of the time this way."""
+    return column.index_select(0, index.flatten()).view(*index.shape, *column.shape[1:])
+
+
 class Surface(NamedTuple):
     """Planes: a point on each, its normal, and how flat (0 to 1) and how straight (0 to 1) the estimates there lie."""
 
@@ -37,7 +42,7 @@ class Surface(NamedTuple):
 
     def at(self, index: Int[Tensor, "rows k"]) -> Surface:
         """Those of some lines."""
-        return Surface(*(column[index] for column in self))
+        return Surface(*(picked(column, index) for column in self))
 
 
 class Crossing(NamedTuple):
