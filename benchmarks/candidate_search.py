@@ -11,6 +11,7 @@ all pairs, which must give the same distances, and that of a bare matrix product
 from __future__ import annotations
 
 import argparse
+import statistics
 import time
 from collections.abc import Callable
 
@@ -77,7 +78,12 @@ def measure(given: argparse.Namespace, count: int, before: dict[int, float]) -> 
     """One row of the table."""
     lines, points, unit = estimates(given.kind, count, given.strays)
     clock = time.process_time if given.cpu else time.perf_counter
-    seconds, found = timed(clock, lambda: nearest_points_to_lines(lines, points, given.k, scale=unit))
+
+    def search() -> Nearest:
+        return nearest_points_to_lines(lines, points, given.k, scale=unit)
+
+    runs = [timed(clock, search) for _ in range(given.runs)]
+    seconds, found = statistics.median(took for took, _ in runs), runs[0][1]
     before[count] = seconds
     eighth = f"{seconds / before[count // 8]:.1f}" if count // 8 in before else ""
     cells = [str(count), f"{seconds:.2f}", f"{1e6 * seconds / count:.1f}", eighth, "", "", ""]
@@ -99,6 +105,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--k", type=int, default=64, help="points of each line (default: %(default)s)")
     parser.add_argument("--strays", type=float, default=0.05, help="share of estimates gone astray (%(default)s)")
     parser.add_argument("--pairs", type=int, default=20_000, help="most lines for all pairs (default: %(default)s)")
+    parser.add_argument("--runs", type=int, default=3, help="of which the median counts (default: %(default)s)")
     parser.add_argument("--threads", type=int, default=2, help="CPU threads (default: %(default)s)")
     parser.add_argument("--cpu", action="store_true", help="CPU seconds of one thread: for a machine that is busy")
     given = parser.parse_args()

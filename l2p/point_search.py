@@ -32,7 +32,7 @@ from l2p.threads import even_size, over_blocks
 
 #: Most lines of a block, and most pairs of its lines with leaves, and with points; where there are more, blocks become
 #: smaller.
-_BLOCK, _PAIRS = 1 << 13, 1 << 22
+_BLOCK, _PAIRS = 1 << 14, 1 << 22
 #: Bytes of temporaries of a line and of a pair, each twice what it takes: both are there together.
 _LINE_BYTES, _PAIR_BYTES = 3200, 80
 #: A block with no more pairs of lines and points than this is measured whole rather than made smaller.
