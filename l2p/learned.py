@@ -26,7 +26,7 @@ from l2p.peak import PeakConfig, find_peak
 from l2p.progress import NO_PROGRESS, Progress
 from l2p.rounds import Rounds
 from l2p.search import nearest_points_to_lines
-from l2p.sharding import ALONE, Shards
+from l2p.sharding import ALONE, BLOCK, Shards
 from l2p.threads import over_blocks
 from l2p.tomography import LINE_BYTES as TOMOGRAPHY_BYTES
 from l2p.tomography import Posterior, TomographyConfig, mass_within, modes, reconstruct
@@ -59,7 +59,7 @@ class LearnedConfig:
 
     rounds: int = 4
     candidates: int = 48
-    batch: int = 128
+    batch: int = BLOCK
     peak: PeakConfig = PeakConfig(threshold=0.5, trim=0)
     weight: str = "vote"
 
