@@ -140,7 +140,7 @@ def test_rounds_change_nothing_where_one_process_does_them(lines: LineCloud, alo
 
 def test_too_few_lines_to_go_round_are_refused(lines: LineCloud) -> None:
     few = LineCloud(lines.direction[: 2 * BLOCK + 1], lines.moment[: 2 * BLOCK + 1])
-    with pytest.raises(InputError, match=f"got 4 processes for {2 * BLOCK + 1} lines; expected at most 3, since each takes whole"):
+    with pytest.raises(InputError, match=f"got 4 processes for {2 * BLOCK + 1} lines; expected at most 3"):
         in_processes(4, lambda shards: recovered(few, Tomography(), shards))
 
 
