@@ -180,8 +180,9 @@ def _guess(tree: PointTree, lines: Lines, k: int) -> Float[Tensor, " lines"]:
 
     tiles = over_blocks(guessed, len(lines.direction), max(1, _TILE // size), lines.direction.device)
     radius = torch.cat([lines.direction[:0, 0], *(part for _, part in tiles)]).sqrt()
-    # Where points coincide on a line, the distance is rounding alone, or 0.
-    return radius * (1 + 1e-5) + 1e-6 * radius.median() + torch.finfo(radius.dtype).tiny ** 0.25
+    # Where points coincide on a line, the distance is rounding alone, or 0. The same for all lines, whoever searches.
+    rounding = 1e-6 * tree.sample[:3].norm(dim=0).median()
+    return radius * (1 + 1e-5) + rounding + torch.finfo(radius.dtype).tiny ** 0.25
 
 
 def _in_pieces(
