@@ -17,22 +17,14 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
 
 import l2p
 from l2p import search
-from l2p.features import SCALE
+from l2p.features import local_scale
 from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.lifting import lift_indexed
 from l2p.search import TILE, Nearest, nearest_points_to_lines
-
-
-def local_scale(points: torch.Tensor) -> torch.Tensor:
-    """Distance of each point to its neighbour number ``SCALE``."""
-    place = points.double().numpy()
-    distance, _ = KDTree(place).query(place, SCALE + 1, workers=torch.get_num_threads())
-    return torch.as_tensor(distance[:, -1], dtype=points.dtype)
 
 
 def estimates(kind: str, count: int, strays: float) -> tuple[Lines, torch.Tensor, torch.Tensor]:
@@ -43,12 +35,12 @@ def estimates(kind: str, count: int, strays: float) -> tuple[Lines, torch.Tensor
     frame = Frame.of(cloud)
     lines = frame.enter(cloud, torch.device("cpu"))
     points = frame.enter_points(xyz[index], torch.device("cpu"))
-    error = rng.normal(size=len(points)) * local_scale(points).numpy()
+    true_beta = torch.linalg.vecdot(points, lines.direction)
+    error = rng.normal(size=len(points)) * local_scale(lines, true_beta).numpy()
     astray = rng.random(len(points)) < strays
     error[astray] = 0.5 * rng.standard_cauchy(astray.sum())
-    beta = torch.linalg.vecdot(points, lines.direction) + torch.as_tensor(error, dtype=points.dtype)
-    found = lines.at(beta)
-    return lines, found, local_scale(found).sqrt()
+    beta = true_beta + torch.as_tensor(error, dtype=points.dtype)
+    return lines, lines.at(beta), local_scale(lines, beta).sqrt()
 
 
 def timed(clock: Callable[[], float], run: Callable[[], Nearest | None]) -> tuple[float, Nearest | None]:

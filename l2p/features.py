@@ -15,10 +15,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from l2p.geometry import PARALLEL, Lines
+from l2p.geometry import PARALLEL, Lines, picked
 from l2p.search import nearest_points_to_points
 from l2p.sharding import ALONE, Shards
-from l2p.surfaces import Surface, crossing, fitted, picked
+from l2p.surfaces import Surface, crossing, fitted
 from l2p.threads import over_blocks
 from l2p.tomography import Posterior
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 #: Smallest sine of the angle of a pair that has a closest point (0.06 degrees).
@@ -39,6 +39,11 @@ class Lines(NamedTuple):
     def rows(self, index: slice | Int[Tensor, " some"]) -> Lines:
         """Some of the lines."""
         return Lines(self.direction[index], self.moment[index])
+
+
+def picked(column: Shaped[Tensor, "rows ..."], index: Int[Tensor, "some k"]) -> Shaped[Tensor, "some k ..."]:
+    """``column[index]``, which torch does in a third of the time this way."""
+    return column.index_select(0, index.flatten()).view(*index.shape, *column.shape[1:])
 
 
 class Votes(NamedTuple):

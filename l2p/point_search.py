@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from l2p.geometry import Lines
+from l2p.geometry import Lines, picked
 from l2p.memory import fitting
 from l2p.point_tree import Pairs, PointTree, reach
 from l2p.progress import Progress
@@ -229,7 +229,7 @@ def _within(
     if hits is None:
         return None
     place, enough = _choose(hits, k, count)
-    index = tree.index.view(-1).index_select(0, place.flatten()).view(count, k)
+    index = picked(tree.index.view(-1), place)
     return _Found(index, enough, radius, reached, len(hits.place))
 
 
@@ -325,7 +325,7 @@ def _choose(hits: _Hits, k: int, lines: int) -> tuple[Int[Tensor, "lines k"], Bo
         part = rows[done : done + max(1, 2 * _TILE // width)]
         column = torch.arange(width, device=hit.device)
         at = (first[part, None] + column).clamp_max_(len(square) - 1)
-        near = square.index_select(0, at.view(-1)).view(at.shape)
+        near = picked(square, at)
         near.masked_fill_(column >= number[part, None], torch.inf)
         best = torch.gather(at, 1, torch.topk(near, k, dim=1, largest=False, sorted=False).indices)
         place[part] = hits.place.index_select(0, hit.index_select(0, best.view(-1))).view(-1, k)

@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.geometry import PARALLEL, Lines, line_line_distance, point_line_distance
+from l2p.geometry import PARALLEL, Lines, line_line_distance, picked, point_line_distance
 from l2p.point_neighbors import nearest_neighbors
 from l2p.point_search import nearest_points
 from l2p.point_tree import plant
@@ -111,9 +111,8 @@ def nearest_points_to_lines(
     def distance(rows: slice, found: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k"]:
         shape = (*found.shape, 3)
         direction, moment = (part[rows][:, None].expand(shape) for part in queries)
-        near = found.clamp_min(0).flatten()
-        place = points.index_select(0, near).view(shape)
-        return point_line_distance(place, direction, moment) / unit.index_select(0, near).view(found.shape)
+        near = found.clamp_min(0)
+        return point_line_distance(picked(points, near), direction, moment) / picked(unit, near)
 
     return _sorted(index, distance, tile)
 

@@ -15,6 +15,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from l2p.geometry import picked
+
 #: Fits after the first one.
 _REFITS = 4
 #: Variance across a surface that is not error of the estimates, over that error along the lines.
@@ -25,11 +27,6 @@ _DOUBT = 0.5
 _LEAST = 0.05
 #: A line nearer to parallel with a surface than this (cosine to the normal) is taken to cut it at this slope.
 _GRAZING = 0.05
-
-
-def picked(column: Float[Tensor, "lines ..."], index: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k ..."]:
-    """``column[index]``, which torch does in a third of the time this way."""
-    return column.index_select(0, index.flatten()).view(*index.shape, *column.shape[1:])
 
 
 class Surface(NamedTuple):

@@ -26,7 +26,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.geometry import Lines
+from l2p.geometry import Lines, picked
 from l2p.memory import fitting
 from l2p.octree import Cells, children, interpolate, root, smooth, total
 from l2p.progress import NO_PROGRESS, Progress
@@ -257,7 +257,7 @@ def _posterior(level: _Level, density: Float[Tensor, " cells"], rows: slice) -> 
 
 def _along(level: _Level, density: Float[Tensor, " cells"], rows: slice) -> Float[Tensor, "rows m"]:
     cell = level.cell[rows]
-    return _padded(density).index_select(0, cell.flatten()).view(cell.shape)
+    return picked(_padded(density), cell)
 
 
 def _padded(density: Float[Tensor, " cells"]) -> Float[Tensor, " cells_and_outside"]:
