@@ -68,10 +68,12 @@ def scene_of_model(model: Any) -> Scene:
     ids = sorted(model.point3D_ids())
     points = [model.points3D[key] for key in ids]
     centers = [image.projection_center() for _, image in sorted(model.images.items()) if image.has_pose]
+    with np.errstate(over="ignore"):  # an error that is too large becomes infinite
+        error = np.array([point.error for point in points]).astype(np.float32)
     return Scene(
         xyz=np.array([point.xyz for point in points], dtype=np.float64).reshape(-1, 3),
         rgb=np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3),
-        error=np.array([point.error for point in points], dtype=np.float32),
+        error=error,
         track_length=np.array([point.track.length() for point in points], dtype=np.int32),
         ids=np.array(ids, dtype=np.int64),
         camera_centers=np.array(centers, dtype=np.float64).reshape(-1, 3),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -188,3 +190,17 @@ def test_what_is_no_truth(tmp_path):
         np.savez(tmp_path / "truth.npz", **(good | change))  # type: ignore[arg-type]
         with pytest.raises(InputError, match=f"truth.npz.*{message}"):
             load_truth(tmp_path / "truth.npz")
+
+
+def test_a_reprojection_error_beyond_single_precision_is_infinite_without_a_warning(tmp_path, write_model):
+    import pycolmap
+
+    path = write_model(tmp_path / "model")
+    model = pycolmap.Reconstruction(str(path))
+    lost = min(model.point3D_ids())
+    model.points3D[lost].error = 1e300
+    model.write(str(path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene = load_scene(path)
+    assert scene.error is not None and np.isinf(scene.error[0]) and np.isfinite(scene.error[1:]).all()
