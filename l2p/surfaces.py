@@ -9,6 +9,8 @@ that it is fitted again a few times, first with all alike.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -27,6 +29,8 @@ _DOUBT = 0.5
 _LEAST = 0.05
 #: A line nearer to parallel with a surface than this (cosine to the normal) is taken to cut it at this slope.
 _GRAZING = 0.05
+#: Two axes count as equally short below this difference of their variances, against the greatest.
+_ALIKE = 1e-9
 
 
 class Surface(NamedTuple):
@@ -65,14 +69,18 @@ def fitted(
         In [0, 1].
     """
     sure = confidence + _LEAST
-    # Counted from one of them, so that single precision is enough.
-    corner = points[:, :1]
-    plane = _weighted(points - corner, sure)
+    # Counted from their middle, so that single precision is enough; one axis after the other, in the order of memory.
+    middle = points.mean(dim=1, keepdim=True)
+    place = (points - middle).permute(2, 0, 1).contiguous()
+    way = direction.permute(2, 0, 1).contiguous()
+    x, y, z = place
+    products = [x, y, z, x * x, y * y, z * z, x * y, x * z, y * z]
+    plane = _weighted(products, sure)
     for _ in range(_REFITS):
-        plane = _weighted(points - corner, sure * _trust(points - corner, direction, plane))
+        plane = _weighted(products, sure * _trust(place, way, plane))
     value = (plane.variance / plane.variance[:, 2:].clamp_min(1e-30)).to(points.dtype)
     return Surface(
-        centre=plane.centre + corner[:, 0],
+        centre=plane.centre + middle[:, 0],
         normal=plane.normal,
         planarity=value[:, 1] - value[:, 0],
         linearity=1 - value[:, 1],
@@ -87,25 +95,78 @@ class _Plane(NamedTuple):
     variance: Float[Tensor, "lines 3"]
 
 
-def _weighted(points: Float[Tensor, "lines k 3"], weight: Float[Tensor, "lines k"]) -> _Plane:
-    """The plane with the least weighted sum of squared distances."""
-    share = (weight / weight.sum(dim=1, keepdim=True))[:, :, None]
-    centre = (share * points).sum(dim=1, keepdim=True)
-    apart = points - centre
-    spread = (share * apart).transpose(1, 2) @ apart
-    variance, axes = torch.linalg.eigh(spread.double())
-    return _Plane(centre[:, 0], axes[:, :, 0].to(points.dtype), variance)
+def _weighted(products: Sequence[Float[Tensor, "lines k"]], weight: Float[Tensor, "lines k"]) -> _Plane:
+    """The plane with the least weighted sum of squared distances; ``products`` are x, y, z, xx, yy, zz, xy, xz, yz of
+    the points."""
+    total = weight.sum(dim=1, keepdim=True)
+    sums = torch.stack([torch.linalg.vecdot(weight, product) for product in products], dim=1)
+    centre, squares, mixed = (sums.double() / total).split(3, dim=1)
+    x, y, z = centre.unbind(dim=1)
+    variance, normal = least_axis(squares - centre.square(), mixed - torch.stack([x * y, x * z, y * z], dim=1))
+    return _Plane(centre.to(weight.dtype), normal.to(weight.dtype), variance)
+
+
+def least_axis(
+    diagonal: Float[Tensor, "lines 3"], mixed: Float[Tensor, "lines 3"]
+) -> tuple[Float[Tensor, "lines 3"], Float[Tensor, "lines 3"]]:
+    """Eigenvalues of symmetric matrices, rising and at least 0, and the unit eigenvector of the least one.
+
+    In closed form (Smith, Communications of the ACM 4, 1961), for thousands of them at a time; ``torch.linalg.eigh``
+    takes one after the other.
+
+    Parameters
+    ----------
+    diagonal : (lines, 3)
+        xx, yy, zz.
+    mixed : (lines, 3)
+        xy, xz, yz.
+    """
+    mean = diagonal.mean(dim=1, keepdim=True)
+    beyond = diagonal - mean
+    size = ((beyond.square().sum(dim=1) + 2 * mixed.square().sum(dim=1)) / 6).sqrt()
+    unit = size.clamp_min(torch.finfo(size.dtype).tiny ** 0.25)[:, None]
+    angle = torch.acos((_determinant(beyond / unit, mixed / unit) / 2).clamp(-1, 1)) / 3
+    turns = angle.new_tensor([2 * math.pi / 3, -2 * math.pi / 3, 0.0])
+    value = mean + 2 * size[:, None] * torch.cos(angle[:, None] + turns)
+    # Rows of the matrix less the least eigenvalue: each is at right angles to the axis.
+    (a, b, c), (p, q, r) = (diagonal - value[:, :1]).unbind(dim=1), mixed.unbind(dim=1)
+    rows = torch.stack([a, p, q, p, b, r, q, r, c], dim=1).view(-1, 3, 3)
+    pairs = torch.linalg.cross(rows, rows.roll(-1, dims=1))
+    across, most = _longest(pairs)
+    # Where two axes are equally short, only one row tells anything, and all at right angles to it will do.
+    row, length = _longest(rows)
+    other = torch.zeros_like(row).scatter_(1, row.abs().argmin(dim=1, keepdim=True), 1)
+    beside = torch.linalg.cross(row, other)
+    beside = torch.where(length[:, None] > 0, beside, other)
+    axis = torch.where((most > _ALIKE * length.square())[:, None], across, beside)
+    return value.clamp_min(0), torch.nn.functional.normalize(axis, dim=1, eps=0.0)
+
+
+def _determinant(diagonal: Float[Tensor, "lines 3"], mixed: Float[Tensor, "lines 3"]) -> Float[Tensor, " lines"]:
+    (a, b, c), (p, q, r) = diagonal.unbind(dim=1), mixed.unbind(dim=1)
+    return a * (b * c - r * r) - p * (p * c - r * q) + q * (p * r - b * q)
+
+
+def _longest(vectors: Float[Tensor, "lines some 3"]) -> tuple[Float[Tensor, "lines 3"], Float[Tensor, " lines"]]:
+    """The longest vector of each line, and its length."""
+    length, place = vectors.norm(dim=2).max(dim=1)
+    return vectors.gather(1, place[:, None, None].expand(-1, 1, 3))[:, 0], length
 
 
 def _trust(
-    points: Float[Tensor, "lines k 3"], direction: Float[Tensor, "lines k 3"], plane: _Plane
+    place: Float[Tensor, "3 lines k"], way: Float[Tensor, "3 lines k"], plane: _Plane
 ) -> Float[Tensor, "lines k"]:
     """How much each estimate says of a surface, if that is about where ``plane`` is."""
-    normal = plane.normal[:, :, None]
-    steep2 = (direction @ normal)[..., 0].square()
-    off2 = ((points - plane.centre[:, None]) @ normal)[..., 0].square()
-    usual2 = plane.variance[:, :1].to(points.dtype).clamp_min(1e-30) * _DOUBT
-    return _ROUGHNESS / (_ROUGHNESS + steep2) / (1 + off2 / usual2)
+    steep = _along(plane.normal, way)
+    off = _along(plane.normal, place).sub_((plane.centre * plane.normal).sum(dim=1, keepdim=True))
+    usual2 = plane.variance[:, :1].to(way.dtype).clamp_min(1e-30) * _DOUBT
+    return _ROUGHNESS / (steep.square_().add_(_ROUGHNESS) * off.square_().div_(usual2).add_(1))
+
+
+def _along(normal: Float[Tensor, "lines 3"], vectors: Float[Tensor, "3 lines k"]) -> Float[Tensor, "lines k"]:
+    """Products of a normal of each line with k vectors."""
+    x, y, z = normal[:, :, None].unbind(dim=1)
+    return (vectors[0] * x).addcmul_(vectors[1], y).addcmul_(vectors[2], z)
 
 
 def crossing(surface: Surface, direction: Tensor, foot: Tensor, *others: Tensor) -> Crossing:

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from l2p.surfaces import _DOUBT, _LEAST, _REFITS, _ROUGHNESS, crossing, fitted
+from l2p.surfaces import _DOUBT, _LEAST, _REFITS, _ROUGHNESS, crossing, fitted, least_axis
 
 
 def around(count: int, draw: torch.Generator, noise: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
@@ -105,3 +105,26 @@ def test_lines_cut_surfaces_where_they_meet_and_grazing_ones_at_the_least_slope(
     assert ((at - planes.centre) * planes.normal).sum(-1).abs()[steep].max() < 1e-9
     torch.testing.assert_close(met.off[0], ((foot - planes.centre) * planes.normal).sum(-1))
     assert met.slope.abs().min() >= 0.05
+
+
+def spreads(kind: str, draw: torch.Generator) -> Tensor:
+    """Symmetric matrices with the variances of some shape, turned at random; one of them is not turned."""
+    shapes = {"any": (1, 3, 7), "flat": (0, 2, 5), "disc": (0, 1, 1), "needle": (0, 0, 1), "cigar": (1e-6, 2e-6, 1)}
+    shapes |= {"ball": (1, 1, 1), "point": (0, 0, 0), "tiny": (1e-24, 3e-24, 7e-24), "huge": (1e20, 3e20, 7e20)}
+    turn = torch.linalg.qr(torch.randn(500, 3, 3, generator=draw).double())[0]
+    turn[0] = torch.eye(3)
+    return turn @ torch.diag(torch.tensor(shapes[kind]).double()) @ turn.transpose(1, 2)
+
+
+@pytest.mark.parametrize("kind", ["any", "flat", "disc", "needle", "cigar", "ball", "point", "tiny", "huge"])
+def test_the_closed_form_finds_what_eigh_finds(kind: str, draw: torch.Generator) -> None:
+    matrix = spreads(kind, draw)
+    mixed = torch.stack([matrix[:, 0, 1], *matrix[:, :2, 2].T], dim=1)
+    value, axis = least_axis(matrix.diagonal(dim1=1, dim2=2), mixed)
+    expected = torch.linalg.eigvalsh(matrix)
+    size = expected[:, 2:].max()
+    # Where two are equal, half of the digits are lost, as in any root of a polynomial.
+    assert ((value - expected).abs() <= 3e-8 * size).all() and (value >= 0).all()
+    assert (value.diff(dim=1) >= -3e-8 * size).all()
+    torch.testing.assert_close(axis.norm(dim=1), torch.ones(500).double())
+    assert ((matrix @ axis[:, :, None])[..., 0] - value[:, :1] * axis).norm(dim=1).max() <= 3e-8 * size
