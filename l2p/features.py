@@ -28,18 +28,20 @@ SCALE = 16
 WIDE = 96
 #: Numbers that each line hands to the lines around it in the next round.
 STATE = 8
-#: Where a candidate says that the point is: the closest point to its line, the foot of its estimate, and where the line
-#: cuts the two surfaces around its estimate.
-VOTES = ("closest", "foot", "cut", "wide_cut")
-_SURFACE = ("incidence", "planarity", "linearity", "cut", "foot_off_plane", "closest_off_plane", "own_off_plane")
+#: Where a candidate says that the point is: the closest point to its line, and where the line cuts the two surfaces
+#: around its estimate.
+VOTES = ("closest", "cut", "wide_cut")
+_SURFACE = ("cut", "foot_off_plane", "closest_off_plane", "own_off_plane", "incidence", "planarity", "linearity")
 _WIDE_SURFACE = tuple(f"wide_{name}" for name in _SURFACE)
-#: Names of the edge features, in order.
+#: Names of the edge features, in order: positions on the line and distances over the local scale, then other numbers.
 EDGE = (
-    *("foot", "closest", "gap", "line_line", "point_line", "line_point", "point_point", "cosine"),
-    *("posterior_at_foot", "posterior_at_closest", "confidence", "own_confidence", "crowd"),
+    *("foot", "closest", "cut", "wide_cut", "gap", "line_line", "point_line", "line_point", "point_point"),
+    *_SURFACE[1:4],
+    *_WIDE_SURFACE[1:4],
     *("log_scale", "log_scale_ratio", "log_line_line", "log_point_line"),
-    *_SURFACE,
-    *_WIDE_SURFACE,
+    *("cosine", "posterior_at_foot", "posterior_at_closest", "confidence", "own_confidence", "crowd"),
+    *_SURFACE[4:],
+    *_WIDE_SURFACE[4:],
 )
 #: The edge features by what they tell of; each family can be left out of a network to see what it is worth.
 FAMILIES = {
@@ -53,7 +55,7 @@ FAMILIES = {
     "wide_surface": _WIDE_SURFACE,
 }
 #: Most estimates whose surroundings are looked at at a time, and bytes of temporaries of each.
-_BLOCK, _ROW_BYTES = 1 << 12, 160 * WIDE
+_BLOCK, _ROW_BYTES = 1 << 10, 160 * WIDE
 #: The cut counts as no farther from the foot than this many local scales.
 _FARTHEST_CUT = 3.0
 
@@ -87,13 +89,15 @@ class Told(NamedTuple):
 class Edges(NamedTuple):
     """Candidates of some lines: their votes, and features of each pair.
 
-    ``vote`` holds positions on the line, one of each kind of ``VOTES``, counted from the line's estimate; ``gap`` is
-    the distance of the candidate's estimate from the line, ``width`` its local scale, ``confidence`` its own. Lengths
-    are in the working frame. ``side`` is 1 or -1, whichever way along the line the features count as positive.
+    ``vote`` holds positions on the line, one of each kind of ``VOTES``, counted from the line's estimate, and ``foot``
+    that of the foot of the candidate's estimate; ``gap`` is the distance of that estimate from the line, ``width`` its
+    local scale, ``confidence`` its own. Lengths are in the working frame. ``side`` is 1 or -1, whichever way along the
+    line the features count as positive.
     ``valid`` is False for padding, ``index`` the candidate.
     """
 
     vote: Float[Tensor, "lines k votes"]
+    foot: Float[Tensor, "lines k"]
     gap: Float[Tensor, "lines k"]
     width: Float[Tensor, "lines k"]
     confidence: Float[Tensor, "lines k"]
@@ -183,8 +187,10 @@ def edges(
     # Only what the rows need is touched: the cost of a batch does not depend on the number of lines.
     direction, moment, point = (picked(column, index) for column in (lines.direction, lines.moment, nodes.point))
     scale, confidence, crowd = (picked(column, index) for column in (nodes.scale, nodes.confidence, nodes.crowd))
-    d, o, here = own.direction[:, None], own.foot[:, None], nodes.point[rows][:, None]
-    beta = nodes.beta[rows][:, None]
+    d, o, here = own.direction[:, None], own.foot[:, None], nodes.point.index_select(0, rows)[:, None]
+    beta, own_scale, own_confidence = (
+        column.index_select(0, rows)[:, None] for column in (nodes.beta, nodes.scale, nodes.confidence)
+    )
     cosine = (d * direction).sum(-1)
     sine2 = (1 - cosine.square()).clamp_min(PARALLEL**2)
     foot = (point * d).sum(-1)
@@ -197,42 +203,34 @@ def edges(
     sign = _side(foot - beta, scale, valid)
     surfaces = [nodes.surface.at(index), nodes.wide.at(index)]
     crossings = [crossing(surface, d, at_foot, at_closest, here) for surface in surfaces]
-    feature = torch.stack(
-        [
-            sign * _compressed((foot - beta) / scale),
-            sign * _compressed((closest - beta) / scale),
-            _compressed((closest - foot).abs() / scale),
-            _compressed(line_line / scale),
-            _compressed(gap / scale),
-            _compressed(line_point / scale),
-            _compressed((here - point).norm(dim=-1) / scale),
-            cosine.abs(),
-            *_log_posterior(posterior, rows - first, (foot, closest), scale),
-            confidence,
-            nodes.confidence[rows][:, None].expand_as(confidence),
-            crowd,
-            (scale / nodes.typical).log(),
-            (scale / nodes.scale[rows][:, None]).log(),
-            (line_line / nodes.typical + 1e-3).log(),
-            (gap / nodes.typical + 1e-3).log(),
-            *(
-                number
-                for surface, crossing in zip(surfaces, crossings, strict=True)
-                for number in (
-                    crossing.slope.abs(),
-                    surface.planarity,
-                    surface.linearity,
-                    sign * _compressed((foot + crossing.cut - beta) / scale),
-                    *(_compressed(off.abs() / scale) for off in crossing.off),
-                )
-            ),
-        ],
-        dim=-1,
-    ).masked_fill(~valid[..., None], 0)
+    cuts = [foot + crossing.cut for crossing in crossings]
+    places = torch.stack([foot, closest, *cuts], dim=1) - beta[:, None]
+    offs = [off.abs() for crossing in crossings for off in crossing.off]
+    distances = [(closest - foot).abs(), line_line, gap, line_point, (here - point).norm(dim=-1), *offs]
+    lengths = torch.cat([places * sign[:, None], torch.stack(distances, dim=1)], dim=1) / scale[:, None]
+    typical = nodes.typical
+    ratios = [scale / typical, scale / own_scale, line_line / typical + 1e-3, gap / typical + 1e-3]
+    numbers = [
+        cosine.abs(),
+        *_log_posterior(posterior, rows - first, (foot, closest), scale),
+        confidence,
+        own_confidence.expand_as(confidence),
+        crowd,
+        *(
+            number
+            for surface, crossing in zip(surfaces, crossings, strict=True)
+            for number in (crossing.slope.abs(), surface.planarity, surface.linearity)
+        ),
+    ]
+    # One number of all candidates after the other: torch is slow where they are side by side.
+    parts = [_compressed(lengths), torch.stack(ratios, dim=1).log(), torch.stack(numbers, dim=1)]
+    feature = torch.cat(parts, dim=1).masked_fill_(~valid[:, None], 0).transpose(1, 2)
     farthest = _FARTHEST_CUT * scale
-    cuts = [foot + torch.maximum(torch.minimum(crossing.cut, farthest), -farthest) for crossing in crossings]
-    vote = torch.stack([closest, foot, *cuts], dim=2) - beta[..., None]
-    return Edges(vote, gap, scale, confidence, feature, picked(nodes.state, index), sign, valid, candidates)
+    bounded = [foot + torch.maximum(torch.minimum(crossing.cut, farthest), -farthest) for crossing in crossings]
+    vote = torch.stack([closest, *bounded], dim=2) - beta[..., None]
+    return Edges(
+        vote, places[:, 0], gap, scale, confidence, feature, picked(nodes.state, index), sign, valid, candidates
+    )
 
 
 def _closest(d: Tensor, o: Tensor, direction: Tensor, moment: Tensor, cosine: Tensor, sine2: Tensor) -> Tensor:
@@ -249,7 +247,7 @@ def _side(
 
 def _compressed(value: Float[Tensor, "*any"]) -> Float[Tensor, "*any"]:
     """Signed logarithm: near and far places both keep digits."""
-    return value.sign() * torch.log1p(value.abs())
+    return value.abs().log1p_().copysign_(value)
 
 
 def _log_posterior(
@@ -258,10 +256,10 @@ def _log_posterior(
     places: Sequence[Float[Tensor, "rows k"]],
     scale: Float[Tensor, "rows k"],
 ) -> list[Float[Tensor, "rows k"]]:
-    """Logarithm of the tomographic posterior mass within about one local scale of places on the line."""
-    beta, order = posterior.beta[rows].sort(dim=1)
-    mass = torch.nn.functional.pad(posterior.probability[rows].gather(1, order).cumsum(dim=1), (1, 0))
-    ends = torch.cat([place + sign * scale for place in places for sign in (-1, 1)], dim=1)
-    below = mass.gather(1, torch.searchsorted(beta, ends)).chunk(2 * len(places), dim=1)
-    within = zip(below[::2], below[1::2], strict=True)
-    return [torch.log((high - low).clamp_min(0) + 1e-4) for low, high in within]
+    """Logarithm of the tomographic posterior mass within one local scale of places on the line."""
+    beta, probability = posterior.beta.index_select(0, rows), posterior.probability.index_select(0, rows)
+    place, reach = torch.cat(list(places), dim=1), scale.repeat(1, len(places))
+    # 1 within reach, 0 beyond: all pairs of samples and places cost a fifth of looking each place up.
+    near = (beta[:, :, None] - place[:, None]).abs_().lt_(reach[:, None])
+    mass = (probability[:, None] @ near)[:, 0]
+    return list(torch.log(mass + 1e-4).chunk(len(places), dim=1))

@@ -58,7 +58,7 @@ class LearnedConfig:
     """
 
     rounds: int = 4
-    candidates: int = 48
+    candidates: int = 32
     batch: int = BLOCK
     peak: PeakConfig = PeakConfig(threshold=0.5, trim=0)
     weight: str = "vote"
@@ -137,7 +137,7 @@ def judge_round(
 def judging_bytes(network: LineTransformer, k: int) -> float:
     """Temporaries of a line with k candidates: kernels of all pairs of them for each head, and their tokens."""
     width, heads = network.config.width, network.config.heads
-    return 4 * k * (k * (heads + 4) + 12 * width + 300)
+    return 4 * k * (k * (2 * heads + 2) + 12 * width + 450)
 
 
 def told(sure: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:

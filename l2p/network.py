@@ -10,7 +10,7 @@ where t is the foot of an estimate on the line, g its distance from the line, w 
 the head: (t_j - t_k)^2 + g_k^2 is the squared distance of estimate k from foot j. So sum_k A_h[j, k] / w_k^3 is an
 adaptive kernel estimate of the density of points at foot j; its logarithm, counted from the densest foot of the line,
 is what a line's point is most likely to go by when the others are known (leave-one-out, :mod:`l2p.oracles`). With the
-same weights the mean of the feet around foot j, a step of mean shift, is a further vote of candidate j in each head.
+same weights the mean of the feet around foot j, a step of mean shift, says on which side of it the densest place is.
 Each layer also sees the mean and the maximum over all tokens, since the places along a line compete. States carry what
 a line has found to the lines around it, round by round.
 """
@@ -37,7 +37,7 @@ _POOLED = 16
 #: Bounds of the logarithm of a density against the densest, and its factor: inputs of a network are about 1.
 _LOG_RANGE, _LOG_FACTOR = 15.0, 0.3
 #: What a network can do without: families of features, the numbers about the surroundings of a foot, states, votes.
-PARTS = (*FAMILIES, "density", "state", *(f"{kind}_vote" for kind in (*VOTES, "mean")))
+PARTS = (*FAMILIES, "density", "state", *(f"{kind}_vote" for kind in VOTES))
 #: Logit of what is not there.
 NOTHING = -30.0
 #: Logit of a vote that is not there: not even a line without any other votes for it.
@@ -61,7 +61,7 @@ class NetworkConfig:
     """
 
     width: int = 64
-    layers: int = 3
+    layers: int = 1
     heads: int = 4
     finest: float = 0.25
     widest: float = 2.0
@@ -79,6 +79,8 @@ class NetworkConfig:
         unknown = sorted(set(self.without) - set(PARTS))
         if unknown:
             raise ValueError(f"got a network without {', '.join(unknown)}; expected parts of {', '.join(PARTS)}")
+        if {f"{kind}_vote" for kind in VOTES} <= set(self.without):
+            raise ValueError("got a network without any votes; expected one kind of them at least")
 
     @property
     def scales(self) -> list[float]:
@@ -90,8 +92,8 @@ class NetworkConfig:
 class Judgement(NamedTuple):
     """The network's word on each line.
 
-    ``affinity``: logit of each candidate being a true neighbour. ``place``: each candidate's votes, those of its pair
-    and one for each head, positions on the line from the estimate before, ``vote``: logits of the point being there,
+    ``affinity``: logit of each candidate being a true neighbour. ``place``: each candidate's votes, positions on the
+    line from the estimate before, ``vote``: logits of the point being there,
     over all votes of a line. ``sure``: logits of the point being found within each of ``RADII``. ``state`` is handed
     to the next round.
     """
@@ -103,10 +105,26 @@ class Judgement(NamedTuple):
     sure: Float[Tensor, "lines radii"]
 
 
+class Attention(NamedTuple):
+    """Who attends to whom: ``kernel``, unscaled, from token k to token j; ``share``, the factor with which what reaches
+    j sums to about 1; and ``count``, 1 for candidates and 0 for padding."""
+
+    kernel: Float[Tensor, "lines heads k j"]
+    share: Float[Tensor, "lines heads 1 j"]
+    count: Float[Tensor, "lines k"]
+
+    def gathered(self, value: Float[Tensor, "lines k width"]) -> Float[Tensor, "lines j width"]:
+        """What each token gathers of the values around it, a part of the width in each head."""
+        heads = self.kernel.shape[1]
+        # Products with rows of 8 numbers are several times faster from the left than from the right.
+        parts = (value * self.count[..., None]).transpose(1, 2).contiguous().unflatten(1, (heads, -1))
+        return (parts @ self.kernel * self.share).flatten(1, 2).transpose(1, 2)
+
+
 class PositionAttention(nn.Module):
     """Tokens attend to each other by position along the line; the kernels are shared by all layers."""
 
-    def __init__(self, width: int, heads: int) -> None:
+    def __init__(self, width: int) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(width)
         self.value = nn.Linear(width, width)
@@ -114,18 +132,13 @@ class PositionAttention(nn.Module):
         self.mix = nn.Linear(2 * width + 2 * _POOLED, width)
         self.expand = nn.Linear(width, 2 * width)
         self.shrink = nn.Linear(2 * width, width)
-        self.heads = heads
 
     def forward(
-        self,
-        token: Float[Tensor, "lines k width"],
-        kernel: Float[Tensor, "lines heads k k"],
-        valid: Bool[Tensor, "lines k"],
+        self, token: Float[Tensor, "lines k width"], attention: Attention, valid: Bool[Tensor, "lines k"]
     ) -> Float[Tensor, "lines k width"]:
         """One layer: gather what is near on the line, and what the whole line holds, then think about it."""
         normal = self.norm(token)
-        value = self.value(normal).unflatten(2, (self.heads, -1)).transpose(1, 2)  # lines heads k dim
-        near = (kernel @ value).transpose(1, 2).flatten(2)  # lines k width
+        near = attention.gathered(self.value(normal))
         token = token + self._mixed(normal, near, _mean_and_most(self.global_value(normal), valid))
         return token + self.shrink(nn.functional.gelu(self.expand(token)))
 
@@ -145,90 +158,82 @@ class PositionAttention(nn.Module):
 class LineTransformer(nn.Module):
     """Judges the candidates of each line on its own: the answer does not depend on the batch."""
 
-    inputs: Tensor
-    votes: Tensor
-
     def __init__(self, config: NetworkConfig | None = None) -> None:
         super().__init__()
         self.config = config or NetworkConfig()
-        width, heads = self.config.width, self.config.heads
-        inputs, votes = len(EDGE) + STATE + _AROUND * heads, len(VOTES) + heads
+        width, heads, without = self.config.width, self.config.heads, self.config.without
+        lost = {name for part in without for name in FAMILIES.get(part, ())}
+        #: Of the edge features, and of the votes of a pair, those that the network has.
+        self.features = [place for place, name in enumerate(EDGE) if name not in lost]
+        self.kinds = [place for place, kind in enumerate(VOTES) if f"{kind}_vote" not in without]
+        self.sees_states, self.sees_densities = "state" not in without, "density" not in without
+        inputs = len(self.features) + self.sees_states * STATE + self.sees_densities * _AROUND * heads
+        votes = len(self.kinds)
         self.embed = nn.Sequential(nn.Linear(inputs, width), nn.GELU(), nn.Linear(width, width))
         # Logarithms of the spread of each kind of votes, in local scales.
         self.log_spread = nn.Parameter(torch.full((votes,), -1.5))
-        self.layers = nn.ModuleList(PositionAttention(width, heads) for _ in range(self.config.layers))
+        self.layers = nn.ModuleList(PositionAttention(width) for _ in range(self.config.layers))
         self.norm = nn.LayerNorm(width)
         self.judge = nn.Linear(width, 1 + votes)
         self.pool = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, STATE + len(RADII)))
-        self.register_buffer("inputs", _kept_inputs(self.config), persistent=False)
-        self.register_buffer("votes", _kept_votes(self.config), persistent=False)
 
     def forward(self, edges: Edges) -> Judgement:
         """Judge the candidates; padding gets a logit that stands for nothing."""
-        kernel, around, shift = self._kernels(edges)
-        inputs = torch.cat([edges.feature, edges.state, around], dim=2)
-        token = self.embed(inputs * self.inputs if self.config.without else inputs)
+        attention, around = self._kernels(edges)
+        inputs = [_columns(edges.feature, self.features)]
+        inputs += [edges.state] if self.sees_states else []
+        inputs += [around] if self.sees_densities else []
+        token = self.embed(torch.cat(inputs, dim=2))
         for layer in self.layers:
-            token = layer(token, kernel, edges.valid)
+            token = layer(token, attention, edges.valid)
         token = self.norm(token)
         judged = self.judge(token)
         affinity = judged[..., 0].masked_fill(~edges.valid, NOTHING)
-        vote = judged[..., 1:].masked_fill(~(edges.valid[..., None] & self.votes), NO_VOTE)
+        vote = judged[..., 1:].masked_fill(~edges.valid[..., None], NO_VOTE)
         pooled = self.pool(_pooled(token, affinity, edges.valid))
-        place = torch.cat([edges.vote, edges.vote[..., VOTES.index("foot"), None] + shift], dim=2)
-        return Judgement(affinity, place, vote, torch.tanh(pooled[:, :STATE]), _rising(pooled[:, STATE:]))
+        state, sure = torch.tanh(pooled[:, :STATE]), _rising(pooled[:, STATE:])
+        return Judgement(affinity, _columns(edges.vote, self.kinds), vote, state, sure)
 
-    def _kernels(
-        self, edges: Edges
-    ) -> tuple[Float[Tensor, "lines heads k k"], Float[Tensor, "lines k around"], Float[Tensor, "lines k heads"]]:
-        """The attention of each head, its rows scaled to sum to 1; inputs about what is around each foot; and the
-        mean of the feet there, counted from the foot."""
-        valid = edges.valid
+    def _kernels(self, edges: Edges) -> tuple[Attention, Float[Tensor, "lines k around"]]:
+        """The attention of each head, and inputs about what is around each foot."""
+        valid, count = edges.valid, edges.valid.to(edges.gap.dtype)
         width = edges.width.masked_fill(~valid, 1.0)
-        foot = edges.vote[..., VOTES.index("foot")].masked_fill(~valid, 0)
-        apart2 = (foot[:, :, None] - foot[:, None, :]).square_().add_(edges.gap.square()[:, None, :])
-        apart2 = apart2.mul_(width.square().reciprocal()[:, None, :])
+        foot = edges.foot.masked_fill(~valid, 0)
+        # Rows are the candidates k, columns the feet j.
+        apart2 = (foot[:, None, :] - foot[:, :, None]).square_().add_(edges.gap.square()[:, :, None])
+        apart2 = apart2.mul_(width.square().reciprocal()[:, :, None])
+        # (1 + a / s^2)^-2 = s^4 (s^2 + a)^-2; the factor goes where there are fewer numbers.
+        scale2 = apart2.new_tensor(self.config.scales).square()[:, None, None]
+        kernel = (apart2[:, None] + scale2).pow(-2)
         # 1 / w^3, counted from the densest so that it stays in range.
         weight = -3 * width.log().masked_fill(~valid, torch.inf)
         weight = (weight - weight.amax(dim=1, keepdim=True)).exp().masked_fill(~valid, 0)
         confident = weight * edges.confidence
-        weights = torch.stack([weight, confident, valid.to(weight.dtype), confident * foot], dim=2)
-        kernels, around, shifts = [], [], []
-        for scale in self.config.scales:
-            kernel = (apart2 * scale**-2).add_(1).square_().reciprocal_()
-            total = kernel @ weights
-            kernels.append(kernel.mul_(valid[:, None, :]).div_(total[..., 2:3] + 1e-2))
-            logarithm = total[..., :3].clamp_min(1e-12).log()
-            densest = logarithm[..., :2].masked_fill(~valid[..., None], -torch.inf).amax(dim=1, keepdim=True)
-            logarithm[..., :2] -= densest
-            mean = total[..., 3] / total[..., 1].clamp_min(1e-12)
-            shift = torch.where(total[..., 1] > 1e-12, mean - foot, 0.0) / width
-            shifts.append(shift.clamp(-_FARTHEST_MEAN, _FARTHEST_MEAN))
-            around.append(logarithm.clamp(-_LOG_RANGE, _LOG_RANGE) * _LOG_FACTOR)
-        shift = torch.stack(shifts, dim=2)
-        inputs = torch.cat([*around, edges.side[..., None] * shift], dim=2)
-        inputs = inputs.nan_to_num().masked_fill(~valid[..., None], 0)
-        return torch.stack(kernels, dim=1), inputs, shift * width[..., None]
+        weights = torch.stack([weight, confident, count, confident * foot], dim=1)
+        total = weights[:, None] @ kernel * scale2.square()  # lines heads 4 feet
+        logarithm = total[:, :, :3].clamp_min(1e-12).log()
+        density, number = logarithm.split([2, 1], dim=2)
+        density = density - density.masked_fill(~valid[:, None, None], -torch.inf).amax(dim=3, keepdim=True)
+        level = torch.cat([density, number], dim=2).clamp(-_LOG_RANGE, _LOG_RANGE) * _LOG_FACTOR
+        _, sure, number, moment = total.unbind(dim=2)
+        shift = torch.where(sure > 1e-12, moment / sure.clamp_min(1e-12) - foot[:, None], 0.0) / width[:, None]
+        shift = edges.side[:, None] * shift.clamp(-_FARTHEST_MEAN, _FARTHEST_MEAN)
+        around = torch.cat([level, shift[:, :, None]], dim=2).flatten(1, 2)
+        around = around.nan_to_num_().masked_fill_(~valid[:, None], 0).transpose(1, 2)
+        return Attention(kernel, scale2.square() / (number[:, :, None] + 1e-2), count), around
 
 
-def _kept_inputs(config: NetworkConfig) -> Float[Tensor, " inputs"]:
-    """1 for each input that the network has, 0 for one that it does without."""
-    lost = {name for part in config.without for name in FAMILIES.get(part, ())}
-    kept = [name not in lost for name in EDGE]
-    kept += ["state" not in config.without] * STATE + ["density" not in config.without] * _AROUND * config.heads
-    return torch.tensor(kept, dtype=torch.float32)
-
-
-def _kept_votes(config: NetworkConfig) -> Bool[Tensor, " votes"]:
-    """Whether the network has each kind of vote."""
-    return torch.tensor([f"{kind}_vote" not in config.without for kind in (*VOTES, *["mean"] * config.heads)])
+def _columns(table: Float[Tensor, "lines k columns"], kept: list[int]) -> Float[Tensor, "lines k kept"]:
+    """Some of the columns."""
+    return table if len(kept) == table.shape[2] else table[..., kept]
 
 
 def _mean_and_most(value: Float[Tensor, "lines k n"], valid: Bool[Tensor, "lines k"]) -> Float[Tensor, "lines two_n"]:
     """Mean and maximum over a line's candidates; about 0 for a line without any."""
     share = valid / valid.sum(dim=1, keepdim=True).clamp_min(1)
+    mean = (share[:, None] @ value)[:, 0]
     most = value.masked_fill(~valid[..., None], NOTHING).amax(dim=1)
-    return torch.cat([(share[..., None] * value).sum(dim=1), most * valid.any(dim=1, keepdim=True)], dim=1)
+    return torch.cat([mean, most * valid.any(dim=1, keepdim=True)], dim=1)
 
 
 def _rising(logit: Float[Tensor, "lines radii"]) -> Float[Tensor, "lines radii"]:
@@ -241,6 +246,6 @@ def _pooled(
 ) -> Float[Tensor, "lines two_widths"]:
     """Mean token by affinity, and over all candidates."""
     weight = torch.sigmoid(affinity) * valid
-    share = (weight / weight.sum(dim=1, keepdim=True).clamp_min(1e-6))[..., None]
-    everything = (valid / valid.sum(dim=1, keepdim=True).clamp_min(1))[..., None]
-    return torch.cat([(share * token).sum(dim=1), (everything * token).sum(dim=1)], dim=1)
+    share = weight / weight.sum(dim=1, keepdim=True).clamp_min(1e-6)
+    everything = valid / valid.sum(dim=1, keepdim=True).clamp_min(1)
+    return (torch.stack([share, everything], dim=1) @ token).flatten(1)

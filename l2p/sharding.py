@@ -20,7 +20,7 @@ from torch import Tensor
 from l2p.errors import InputError, LostProcessError
 
 #: Lines in a block: those that the network judges at a time (:class:`l2p.learned.LearnedConfig`).
-BLOCK = 128
+BLOCK = 256
 
 
 class Shards:

@@ -22,7 +22,7 @@ SIZE = NetworkConfig(width=8, layers=1, heads=2, finest=0.5)
 CONFIG = LearnedConfig(rounds=2, candidates=16)
 CALIBRATION = [[(1.0 + radius, -0.1 * number) for radius in RADII] for number in range(2)]
 #: Numbers that the network gives of each candidate.
-JUDGED = 1 + len(VOTES) + SIZE.heads
+JUDGED = 1 + len(VOTES)
 
 
 @pytest.fixture

@@ -164,6 +164,8 @@ def test_votes_are_where_the_candidates_say_the_point_is(scene: Scene) -> None:
             slow = slow_votes(scene, nodes, i, j)
             expected = [slow[name] - float(scene.beta[i]) for name in VOTES]
             np.testing.assert_allclose(seen.vote[row, column].numpy(), expected, rtol=1e-6, atol=1e-8)
+            foot = slow["foot"] - float(scene.beta[i])
+            np.testing.assert_allclose(seen.foot[row, column].numpy(), foot, rtol=1e-6, atol=1e-8)
 
 
 def test_features_are_what_their_names_say(scene: Scene) -> None:
@@ -173,8 +175,9 @@ def test_features_are_what_their_names_say(scene: Scene) -> None:
             if j < 0:
                 continue
             slow = slow_feature(scene, nodes, float(seen.side[row, 0]), i, j)
-            assert list(slow) == list(EDGE)
-            np.testing.assert_allclose(seen.feature[row, column].numpy(), list(slow.values()), rtol=1e-5, atol=1e-7)
+            assert slow.keys() == set(EDGE)
+            expected = [slow[name] for name in EDGE]
+            np.testing.assert_allclose(seen.feature[row, column].numpy(), expected, rtol=1e-5, atol=1e-7)
 
 
 def test_candidates_bring_their_own_gap_width_confidence_and_state(scene: Scene) -> None:
@@ -219,7 +222,7 @@ def test_a_rigid_motion_and_scale_change_lengths_alone(scene: Scene, rng: np.ran
         posterior=scene.posterior._replace(beta=factor * scene.posterior.beta + ahead[:, None]),
     )
     seen = moved.edges()
-    back = seen._replace(vote=seen.vote / factor, gap=seen.gap / factor, width=seen.width / factor)
+    back = seen._replace(**{name: getattr(seen, name) / factor for name in ("vote", "foot", "gap", "width")})
     assert_close(scene.edges(), back)
 
 
@@ -231,7 +234,9 @@ def test_flipped_directions_flip_votes_and_sides_alone(scene: Scene) -> None:
         posterior=scene.posterior._replace(beta=sign[:, None] * scene.posterior.beta),
     )
     seen, own = flipped.edges(), sign[ROWS]
-    unflipped = seen._replace(vote=own[:, None, None] * seen.vote, side=own[:, None].float() * seen.side)
+    unflipped = seen._replace(
+        vote=own[:, None, None] * seen.vote, foot=own[:, None] * seen.foot, side=own[:, None].float() * seen.side
+    )
     assert_close(scene.edges(), unflipped)
 
 

@@ -18,7 +18,7 @@ from train.clouds import CloudSource, lifted
 from train.judging import Judged, calibrate, figures
 from train.losses import BACKGROUND, Sample, affinity_loss, losses, position_loss, soft_labels
 
-KINDS = len(VOTES) + 2
+KINDS = len(VOTES)
 
 
 def one_line(
@@ -27,7 +27,8 @@ def one_line(
     """A line in a cloud of spacing 0.5, whose candidates vote for one place each with all their votes."""
     k = len(places)
     edges = Edges(
-        vote=torch.tensor(places)[None, :, None].repeat(1, 1, len(VOTES)),
+        vote=torch.tensor(places)[None, :, None].repeat(1, 1, KINDS),
+        foot=torch.tensor(places)[None],
         gap=torch.zeros(1, k),
         width=torch.full((1, k), width),
         confidence=torch.ones(1, k),

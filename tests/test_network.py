@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
-from l2p.features import EDGE, STATE, VOTES, Edges
+from l2p.features import EDGE, FAMILIES, STATE, VOTES, Edges
 from l2p.network import RADII, Judgement, LineTransformer, NetworkConfig
 
 LINES, K = 7, 12
@@ -30,6 +31,7 @@ def edges() -> Edges:
     valid[EMPTY] = False
     return Edges(
         vote=torch.randn(LINES, K, len(VOTES), generator=draw),
+        foot=torch.randn(LINES, K, generator=draw),
         gap=torch.rand(LINES, K, generator=draw),
         width=torch.rand(LINES, K, generator=draw) + 0.1,
         confidence=torch.rand(LINES, K, generator=draw),
@@ -64,7 +66,7 @@ def assert_close(one: Judgement, other: Judgement) -> None:
 def slow_heads(edges: Edges, i: int, scale: float) -> tuple[list[list[float]], list[list[float]], list[float]]:
     """Of a line and a head: attention, logarithms of density, confident density and count, and the mean shift."""
     there = [k for k in range(K) if edges.valid[i, k]]
-    t, w = edges.vote[i, :, VOTES.index("foot")].tolist(), edges.width[i].tolist()
+    t, w = edges.foot[i].tolist(), edges.width[i].tolist()
     g, c = edges.gap[i].tolist(), edges.confidence[i].tolist()
     near = [[(1 + ((t[j] - t[k]) ** 2 + g[k] ** 2) / (scale * w[k]) ** 2) ** -2 for k in there] for j in there]
     attention = [[value / (sum(row) + 1e-2) for value in row] for row in near]
@@ -74,27 +76,30 @@ def slow_heads(edges: Edges, i: int, scale: float) -> tuple[list[list[float]], l
         confident = [c[k] * value for k, value in zip(there, weight, strict=True)]
         logarithms.append([math.log(sum(weight)), math.log(sum(confident)), math.log(sum(row))])
         mean = sum(t[k] * value for k, value in zip(there, confident, strict=True)) / sum(confident)
-        shift.append(max(-3.0, min(3.0, (mean - t[j]) / w[j])) * w[j])
+        shift.append(max(-3.0, min(3.0, (mean - t[j]) / w[j])))
     densest = [max(part[kind] for part in logarithms) for kind in (0, 1)] + [0.0]
     return attention, [[a - b for a, b in zip(part, densest, strict=True)] for part in logarithms], shift
 
 
 def test_kernels_densities_and_shifts_are_those_of_the_formula(network: LineTransformer, edges: Edges) -> None:
-    kernel, around, shift = network._kernels(edges)
-    heads = len(network.config.scales)
+    attention, around = network._kernels(edges)
+    heads, dim = len(network.config.scales), 3
+    value = torch.randn(LINES, K, heads * dim, generator=torch.Generator().manual_seed(5))
+    gathered = attention.gathered(value)
     for i in range(LINES):
         there = edges.valid[i]
-        assert (kernel[i][:, :, ~there] == 0).all() and (around[i][~there] == 0).all()
+        assert (around[i][~there] == 0).all()
         for head, scale in enumerate(network.config.scales):
             if i == EMPTY:
                 continue
-            attention, logarithms, shifted = (torch.tensor(part) for part in slow_heads(edges, i, scale))
-            torch.testing.assert_close(kernel[i, head][there][:, there], attention, atol=1e-5, rtol=1e-4)
+            weights, logarithms, shifted = (torch.tensor(part) for part in slow_heads(edges, i, scale))
+            part = slice(dim * head, dim * (head + 1))
+            expected = weights @ value[i, there, part]
+            torch.testing.assert_close(gathered[i, there, part], expected, atol=1e-5, rtol=1e-4)
             expected = 0.3 * logarithms.clamp(-15, 15)
-            torch.testing.assert_close(around[i, there, 3 * head : 3 * head + 3], expected, atol=1e-5, rtol=1e-4)
-            torch.testing.assert_close(shift[i, there, head], shifted, atol=1e-5, rtol=1e-4)
-            turned = edges.side[i] * shifted / edges.width[i, there]
-            torch.testing.assert_close(around[i, there, 3 * heads + head], turned, atol=1e-5, rtol=1e-4)
+            torch.testing.assert_close(around[i, there, 4 * head : 4 * head + 3], expected, atol=1e-5, rtol=1e-4)
+            turned = edges.side[i] * shifted
+            torch.testing.assert_close(around[i, there, 4 * head + 3], turned, atol=1e-5, rtol=1e-4)
 
 
 def test_heads_are_spread_geometrically() -> None:
@@ -102,11 +107,35 @@ def test_heads_are_spread_geometrically() -> None:
     assert NetworkConfig(width=6, heads=1, finest=0.5, widest=2.0).scales == [0.5]
 
 
-def test_places_are_the_votes_and_a_mean_shift_for_each_head(network: LineTransformer, edges: Edges) -> None:
-    place = judged(network, edges).place
-    assert torch.equal(place[..., : len(VOTES)], edges.vote)
-    foot, shift = edges.vote[..., VOTES.index("foot"), None], network._kernels(edges)[2]
-    torch.testing.assert_close(place[..., len(VOTES) :][edges.valid], (foot + shift)[edges.valid])
+@pytest.mark.parametrize("part", ["state", *FAMILIES])
+def test_inputs_that_a_network_does_without_change_nothing(network: LineTransformer, edges: Edges, part: str) -> None:
+    less = LineTransformer(replace(network.config, without=(part,))).eval()
+    lost = torch.tensor([name in FAMILIES.get(part, ()) for name in EDGE])
+    other = edges._replace(feature=edges.feature + 7 * lost, state=edges.state + 7 * (part == "state"))
+    assert_close(judged(less, edges), judged(less, other))
+    assert not torch.allclose(judged(network, edges).vote, judged(network, other).vote)
+
+
+@pytest.mark.parametrize("kind", VOTES)
+def test_votes_that_a_network_does_without_are_not_among_the_places(edges: Edges, kind: str) -> None:
+    answer = judged(LineTransformer(NetworkConfig(width=12, heads=3, without=(f"{kind}_vote",))).eval(), edges)
+    kept = [place for place, name in enumerate(VOTES) if name != kind]
+    assert torch.equal(answer.place, edges.vote[..., kept]) and answer.vote.shape == answer.place.shape
+
+
+def test_a_network_without_densities_does_not_see_them(network: LineTransformer, edges: Edges) -> None:
+    less = LineTransformer(replace(network.config, layers=0, without=("density",))).eval()
+    assert_close(judged(less, edges), judged(less, edges._replace(foot=edges.foot + 7, gap=edges.gap + 7)))
+
+
+@pytest.mark.parametrize("without", [("nose",), tuple(f"{kind}_vote" for kind in VOTES)])
+def test_networks_without_unknown_parts_or_any_votes_are_refused(without: tuple[str, ...]) -> None:
+    with pytest.raises(ValueError, match=r"got a network without .*; expected"):
+        NetworkConfig(without=without)
+
+
+def test_places_are_the_votes(network: LineTransformer, edges: Edges) -> None:
+    assert torch.equal(judged(network, edges).place, edges.vote)
 
 
 def test_any_batch_gives_the_same(network: LineTransformer, edges: Edges) -> None:
@@ -127,6 +156,7 @@ def test_what_stands_in_padding_changes_nothing(network: LineTransformer, edges:
     gone = ~edges.valid
     garbage = edges._replace(
         vote=edges.vote.masked_fill(gone[..., None], 1e6),
+        foot=edges.foot.masked_fill(gone, 1e6),
         gap=edges.gap.masked_fill(gone, 1e6),
         width=edges.width.masked_fill(gone, 1e-6),
         confidence=edges.confidence.masked_fill(gone, 7.0),
@@ -144,12 +174,14 @@ def test_order_of_candidates_changes_nothing(network: LineTransformer, edges: Ed
 
 
 def test_a_flipped_direction_flips_places_alone(network: LineTransformer, edges: Edges) -> None:
-    one, other = judged(network, edges), judged(network, edges._replace(vote=-edges.vote, side=-edges.side))
+    turned = edges._replace(vote=-edges.vote, foot=-edges.foot, side=-edges.side)
+    one, other = judged(network, edges), judged(network, turned)
     assert_close(one, other._replace(place=-other.place))
 
 
 def test_the_unit_of_length_changes_places_alone(network: LineTransformer, edges: Edges) -> None:
-    larger = edges._replace(vote=40 * edges.vote, gap=40 * edges.gap, width=40 * edges.width)
+    lengths = {name: 40 * getattr(edges, name) for name in ("vote", "foot", "gap", "width")}
+    larger = edges._replace(**lengths)
     one, other = judged(network, edges), judged(network, larger)
     assert_close(one, other._replace(place=(other.place / 40).where(edges.valid[..., None], one.place)))
 
@@ -171,7 +203,7 @@ def test_a_line_without_candidates_has_a_finite_judgement(network: LineTransform
 def test_candidates_without_confidence_are_judged(network: LineTransformer, edges: Edges) -> None:
     nobody = edges._replace(confidence=torch.zeros(LINES, K))
     assert all(part.isfinite().all() for part in judged(network, nobody))
-    assert (network._kernels(nobody)[2] == 0).all()
+    assert (network._kernels(nobody)[1][..., 3::4] == 0).all()
 
 
 def test_gradients_are_finite_and_reach_everything(network: LineTransformer, edges: Edges) -> None:
