@@ -73,8 +73,8 @@ GROUPS: dict[str, tuple[Variant, ...]] = {
         Variant("state", "no states between lines", without("state")),
     ),
     "size": (
-        Variant("width16", "width 16", ("network.width=16",)),
-        Variant("width64", "width 64", ("network.width=64",)),
+        Variant("width32", "width 32", ("network.width=32",)),
+        Variant("width96", "width 96", ("network.width=96",)),
         Variant("heads2", "two heads", ("network.heads=2",)),
         Variant("k24", "24 candidates", ("learned.candidates=24",)),
         Variant("k48", "48 candidates", ("learned.candidates=48",)),
