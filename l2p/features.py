@@ -31,17 +31,15 @@ STATE = 8
 #: Where a candidate says that the point is: the closest point to its line, and where the line cuts the two surfaces
 #: around its estimate.
 VOTES = ("closest", "cut", "wide_cut")
-_SURFACE = ("cut", "foot_off_plane", "closest_off_plane", "own_off_plane", "incidence", "planarity", "linearity")
-_WIDE_SURFACE = tuple(f"wide_{name}" for name in _SURFACE)
+_OFF, _SHAPE = ("foot_off_plane", "closest_off_plane", "own_off_plane"), ("incidence", "planarity", "linearity")
+_WIDE_OFF, _WIDE_SHAPE = (tuple(f"wide_{name}" for name in names) for names in (_OFF, _SHAPE))
 #: Names of the edge features, in order: positions on the line and distances over the local scale, then other numbers.
 EDGE = (
     *("foot", "closest", "cut", "wide_cut", "gap", "line_line", "point_line", "line_point", "point_point"),
-    *_SURFACE[1:4],
-    *_WIDE_SURFACE[1:4],
+    *(*_OFF, *_WIDE_OFF),
     *("log_scale", "log_scale_ratio", "log_line_line", "log_point_line"),
     *("cosine", "posterior_at_foot", "posterior_at_closest", "confidence", "own_confidence", "crowd"),
-    *_SURFACE[4:],
-    *_WIDE_SURFACE[4:],
+    *(*_SHAPE, *_WIDE_SHAPE),
 )
 #: The edge features by what they tell of; each family can be left out of a network to see what it is worth.
 FAMILIES = {
@@ -51,8 +49,8 @@ FAMILIES = {
     "tomography": ("posterior_at_foot", "posterior_at_closest"),
     "confidence": ("confidence", "own_confidence", "crowd"),
     "scale": ("log_scale", "log_scale_ratio"),
-    "surface": _SURFACE,
-    "wide_surface": _WIDE_SURFACE,
+    "surface": ("cut", *_OFF, *_SHAPE),
+    "wide_surface": ("wide_cut", *_WIDE_OFF, *_WIDE_SHAPE),
 }
 #: Most estimates whose surroundings are looked at at a time, and bytes of temporaries of each.
 _BLOCK, _ROW_BYTES = 1 << 10, 160 * WIDE
@@ -92,8 +90,7 @@ class Edges(NamedTuple):
     ``vote`` holds positions on the line, one of each kind of ``VOTES``, counted from the line's estimate, and ``foot``
     that of the foot of the candidate's estimate; ``gap`` is the distance of that estimate from the line, ``width`` its
     local scale, ``confidence`` its own. Lengths are in the working frame. ``side`` is 1 or -1, whichever way along the
-    line the features count as positive.
-    ``valid`` is False for padding, ``index`` the candidate.
+    line the features count as positive. ``valid`` is False for padding, ``index`` the candidate.
     """
 
     vote: Float[Tensor, "lines k votes"]
@@ -134,9 +131,9 @@ def surroundings(
         distance, index = (np.reshape(part, (-1, k)) for part in found)  # SciPy drops the axis of k = 1
         near = torch.as_tensor(index)
         reach = torch.as_tensor(distance[:, fine - 1], dtype=beta.dtype)
-        wide, close = near, near[:, :fine]
-        surface, wider = (fitted(local[some], direction[some], sure[some]) for some in (close, wide))
-        return reach, sure[close].mean(dim=1), surface, wider
+        points, ways, trust = (picked(column, near) for column in (local, direction, sure))
+        surface, wide = (fitted(points[:, :some], ways[:, :some], trust[:, :some]) for some in (fine, k))
+        return reach, trust[:, :fine].mean(dim=1), surface, wide
 
     parts = [part for _, part in over_blocks(around, len(own), _BLOCK, row_bytes=_ROW_BYTES)]
     reaches, crowds, surfaces, wides = zip(*parts, strict=True)
@@ -208,8 +205,7 @@ def edges(
     offs = [off.abs() for crossing in crossings for off in crossing.off]
     distances = [(closest - foot).abs(), line_line, gap, line_point, (here - point).norm(dim=-1), *offs]
     lengths = torch.cat([places * sign[:, None], torch.stack(distances, dim=1)], dim=1) / scale[:, None]
-    typical = nodes.typical
-    ratios = [scale / typical, scale / own_scale, line_line / typical + 1e-3, gap / typical + 1e-3]
+    ratios = [scale / nodes.typical, scale / own_scale, *(part / nodes.typical + 1e-3 for part in (line_line, gap))]
     numbers = [
         cosine.abs(),
         *_log_posterior(posterior, rows - first, (foot, closest), scale),

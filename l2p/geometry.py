@@ -46,6 +46,11 @@ def picked(column: Shaped[Tensor, "rows ..."], index: Int[Tensor, "some k"]) -> 
     return column.index_select(0, index.flatten()).view(*index.shape, *column.shape[1:])
 
 
+def crosswise(vectors: Float[Tensor, "rows 3"]) -> Float[Tensor, "rows 3"]:
+    """The coordinate axis that is most nearly at right angles to each vector."""
+    return torch.zeros_like(vectors).scatter_(1, vectors.abs().argmin(dim=1, keepdim=True), 1)
+
+
 class Votes(NamedTuple):
     """Positions along each line that its neighbours vote for; ``valid`` is False where there is no vote."""
 

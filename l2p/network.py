@@ -93,9 +93,8 @@ class Judgement(NamedTuple):
     """The network's word on each line.
 
     ``affinity``: logit of each candidate being a true neighbour. ``place``: each candidate's votes, positions on the
-    line from the estimate before, ``vote``: logits of the point being there,
-    over all votes of a line. ``sure``: logits of the point being found within each of ``RADII``. ``state`` is handed
-    to the next round.
+    line from the estimate before, ``vote``: logits of the point being there, over all votes of a line. ``sure``: logits
+    of the point being found within each of ``RADII``. ``state`` is handed to the next round.
     """
 
     affinity: Float[Tensor, "lines k"]
@@ -210,17 +209,17 @@ class LineTransformer(nn.Module):
         weight = (weight - weight.amax(dim=1, keepdim=True)).exp().masked_fill(~valid, 0)
         confident = weight * edges.confidence
         weights = torch.stack([weight, confident, count, confident * foot], dim=1)
-        total = weights[:, None] @ kernel * scale2.square()  # lines heads 4 feet
-        logarithm = total[:, :, :3].clamp_min(1e-12).log()
-        density, number = logarithm.split([2, 1], dim=2)
-        density = density - density.masked_fill(~valid[:, None, None], -torch.inf).amax(dim=3, keepdim=True)
-        level = torch.cat([density, number], dim=2).clamp(-_LOG_RANGE, _LOG_RANGE) * _LOG_FACTOR
+        factor = scale2.square()
+        total = weights[:, None] @ kernel * factor  # lines heads 4 feet
+        level = total[:, :, :3].clamp_min(1e-12).log()
+        level[:, :, :2] -= level[:, :, :2].masked_fill(~valid[:, None, None], -torch.inf).amax(dim=3, keepdim=True)
+        level = level.clamp(-_LOG_RANGE, _LOG_RANGE) * _LOG_FACTOR
         _, sure, number, moment = total.unbind(dim=2)
         shift = torch.where(sure > 1e-12, moment / sure.clamp_min(1e-12) - foot[:, None], 0.0) / width[:, None]
         shift = edges.side[:, None] * shift.clamp(-_FARTHEST_MEAN, _FARTHEST_MEAN)
         around = torch.cat([level, shift[:, :, None]], dim=2).flatten(1, 2)
         around = around.nan_to_num_().masked_fill_(~valid[:, None], 0).transpose(1, 2)
-        return Attention(kernel, scale2.square() / (number[:, :, None] + 1e-2), count), around
+        return Attention(kernel, factor / (number[:, :, None] + 1e-2), count), around
 
 
 def _columns(table: Float[Tensor, "lines k columns"], kept: list[int]) -> Float[Tensor, "lines k kept"]:

@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from l2p.geometry import Lines, picked
+from l2p.geometry import Lines, crosswise, picked
 from l2p.memory import fitting
 from l2p.point_tree import Pairs, PointTree, reach
 from l2p.progress import Progress
@@ -144,8 +144,7 @@ def _without_own(found: Int[Tensor, "rows more"], own: Int[Tensor, " rows"]) -> 
 def _projection(lines: Lines) -> Float[Tensor, "lines 8"]:
     """(e, a, f, b) so that a point p lies at (e . p + a, f . p + b) in the plane across each line."""
     direction, moment = lines
-    axis = torch.zeros_like(direction).scatter_(1, direction.abs().argmin(dim=1, keepdim=True), 1)
-    first = torch.nn.functional.normalize(torch.linalg.cross(direction, axis), dim=1)
+    first = torch.nn.functional.normalize(torch.linalg.cross(direction, crosswise(direction)), dim=1)
     second = torch.linalg.cross(direction, first)
     offset = torch.linalg.vecdot(second, moment), -torch.linalg.vecdot(first, moment)
     return torch.cat([first, offset[0][:, None], second, offset[1][:, None]], dim=1)

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.geometry import picked
+from l2p.geometry import crosswise, picked
 
 #: Fits after the first one.
 _REFITS = 4
@@ -135,7 +135,7 @@ def least_axis(
     across, most = _longest(pairs)
     # Where two axes are equally short, only one row tells anything, and all at right angles to it will do.
     row, length = _longest(rows)
-    other = torch.zeros_like(row).scatter_(1, row.abs().argmin(dim=1, keepdim=True), 1)
+    other = crosswise(row)
     beside = torch.linalg.cross(row, other)
     beside = torch.where(length[:, None] > 0, beside, other)
     axis = torch.where((most > _ALIKE * length.square())[:, None], across, beside)
