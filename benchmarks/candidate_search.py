@@ -20,7 +20,7 @@ import torch
 
 import l2p
 from l2p import search
-from l2p.features import local_scale
+from l2p.features import nearest_estimates
 from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.lifting import lift_indexed
@@ -36,11 +36,11 @@ def estimates(kind: str, count: int, strays: float) -> tuple[Lines, torch.Tensor
     lines = frame.enter(cloud, torch.device("cpu"))
     points = frame.enter_points(xyz[index], torch.device("cpu"))
     true_beta = torch.linalg.vecdot(points, lines.direction)
-    error = rng.normal(size=len(points)) * local_scale(lines, true_beta).numpy()
+    error = rng.normal(size=len(points)) * nearest_estimates(lines, true_beta).scale.numpy()
     astray = rng.random(len(points)) < strays
     error[astray] = 0.5 * rng.standard_cauchy(astray.sum())
     beta = true_beta + torch.as_tensor(error, dtype=points.dtype)
-    return lines, lines.at(beta), local_scale(lines, beta).sqrt()
+    return lines, lines.at(beta), nearest_estimates(lines, beta).scale.sqrt()
 
 
 def timed(clock: Callable[[], float], run: Callable[[], Nearest | None]) -> tuple[float, Nearest | None]:

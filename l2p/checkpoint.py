@@ -25,7 +25,7 @@ from l2p.learned import Learned, LearnedConfig
 from l2p.network import RADII, LineTransformer, NetworkConfig
 
 #: Number of the file's layout; a reader refuses those that it does not know.
-FORMAT = 2
+FORMAT = 3
 _FORMAT_KEY = "l2p_format"
 #: Hexadecimal digits of a digest: enough to tell checkpoints apart.
 _DIGITS = 12

@@ -7,8 +7,8 @@ next to it, so that the dense middle of a scene and its far background look alik
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -16,16 +16,20 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from l2p.geometry import PARALLEL, Lines, picked
-from l2p.search import nearest_points_to_points
 from l2p.sharding import ALONE, Shards
 from l2p.surfaces import Surface, crossing, fitted
 from l2p.threads import over_blocks
 from l2p.tomography import Posterior
 
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
+
 #: Neighbours of an estimate that give its local scale and its surface.
 SCALE = 16
 #: Neighbours that give its wide surface: it bends less than things do, but the errors of more estimates cancel out.
 WIDE = 96
+#: Of so many estimates one has a wide surface of its own: it differs little from one to the next, and takes the time.
+_SHARED = 2
 #: Numbers that each line hands to the lines around it in the next round.
 STATE = 8
 #: Where a candidate says that the point is: the closest point to its line, and where the line cuts the two surfaces
@@ -105,62 +109,106 @@ class Edges(NamedTuple):
     index: Int[Tensor, "lines k"]
 
 
-def surroundings(
-    lines: Lines,
-    beta: Float[Tensor, " lines"],
-    confidence: Float[Tensor, " lines"],
-    state: Float[Tensor, "lines state"],
-    shards: Shards = ALONE,
-) -> Nodes:
+class Around(NamedTuple):
+    """The estimates around each one.
+
+    ``tree`` holds all of them, ``point``; ``near`` are the ``SCALE`` nearest of the lines of this process, beside the
+    line's own; ``scale`` is the local scale of all.
+    """
+
+    tree: KDTree
+    point: Float[Tensor, "lines 3"]
+    near: Int[Tensor, "own near"]
+    scale: Float[Tensor, " lines"]
+
+
+def surroundings(lines: Lines, told: Told, shards: Shards = ALONE) -> Nodes:
     """Local scale and surfaces of the estimates, from the nearest of them; O(lines log lines).
 
     Each process looks around the estimates of its own lines, and is told what the others see.
     """
+    return described(lines, nearest_estimates(lines, told.beta, shards), told, shards)
+
+
+def nearest_estimates(lines: Lines, beta: Float[Tensor, " lines"], shards: Shards = ALONE) -> Around:
+    """The estimates around each one, and so its local scale."""
     from scipy.spatial import KDTree
 
     point = lines.at(beta)
     # On the CPU: other devices have no such trees, are slow at many small matrices, or know no double precision.
-    local, sure, direction = point.cpu(), confidence.cpu(), lines.direction.cpu()
-    place = local.double().numpy()
+    place = point.cpu().double().numpy()
     tree = KDTree(place)
     own = place[shards.own(len(place))]
-    k, fine = (min(count + 1, len(place)) for count in (WIDE, SCALE))
+    k = min(SCALE + 1, len(place))
 
-    def around(block: slice) -> tuple[Tensor, Tensor, Surface, Surface]:
-        found = tree.query(own[block], k)
-        distance, index = (np.reshape(part, (-1, k)) for part in found)  # SciPy drops the axis of k = 1
-        near = torch.as_tensor(index)
-        reach = torch.as_tensor(distance[:, fine - 1], dtype=beta.dtype)
-        points, ways, trust = (picked(column, near) for column in (local, direction, sure))
-        surface, wide = (fitted(points[:, :some], ways[:, :some], trust[:, :some]) for some in (fine, k))
-        return reach, trust[:, :fine].mean(dim=1), surface, wide
+    def near(block: slice) -> tuple[Tensor, Tensor]:
+        distance, index = _queried(tree, own[block], k)
+        return index.int(), distance[:, -1].to(beta.dtype)
 
-    parts = [part for _, part in over_blocks(around, len(own), _BLOCK, row_bytes=_ROW_BYTES)]
-    reaches, crowds, surfaces, wides = zip(*parts, strict=True)
+    index, reach = _over_rows(near, len(own))
+    return Around(tree, point, index, _floored(shards.gather(reach.to(beta.device), len(place))))
 
-    def of_all(parts: Sequence[Tensor]) -> Tensor:
-        return shards.gather(torch.cat(list(parts)).to(beta.device), len(place))
 
-    scale = _floored(of_all(reaches))
+def described(lines: Lines, around: Around, told: Told, shards: Shards = ALONE) -> Nodes:
+    """What is known of the estimates, when the lines around them are told of them.
+
+    The wide surfaces are those of every ``_SHARED``-th estimate, the leaders; the others have that of the nearest one.
+    """
+    from scipy.spatial import KDTree
+
+    local, direction, sure = around.point.cpu(), lines.direction.cpu(), told.confidence.cpu()
+    place = around.tree.data
+    count = len(place)
+    leaders = place[::_SHARED]
+    lead, own = leaders[shards.own(len(leaders))], place[shards.own(count)]
+
+    def fit(near: Int[Tensor, "rows k"]) -> Surface:
+        return fitted(*(picked(column, near) for column in (local, direction, sure)))
+
+    def of_own(block: slice) -> tuple[Tensor, ...]:
+        near = around.near[block].long()
+        return picked(sure, near).mean(dim=1), *fit(near)
+
+    def of_leaders(block: slice) -> tuple[Tensor, ...]:
+        return tuple(fit(_queried(around.tree, lead[block], min(WIDE + 1, count))[1]))
+
+    guide = KDTree(leaders)
+
+    def leader(block: slice) -> tuple[Tensor, ...]:
+        return (_queried(guide, own[block], 1)[1].int()[:, 0],)
+
+    def of_all(parts: Sequence[Tensor], count: int) -> list[Tensor]:
+        return [shards.gather(part.to(told.beta.device), count) for part in parts]
+
+    crowd, *surface = of_all(_over_rows(of_own, len(own)), count)
+    wide = Surface(*of_all(_over_rows(of_leaders, len(lead)), len(leaders)))
+    (led,) = of_all(_over_rows(leader, len(own)), count)
     return Nodes(
-        beta=beta,
-        point=point,
-        scale=scale,
-        surface=Surface(*map(of_all, zip(*surfaces, strict=True))),
-        wide=Surface(*map(of_all, zip(*wides, strict=True))),
-        crowd=of_all(crowds),
-        confidence=confidence,
-        state=state,
-        typical=scale.median(),
+        beta=told.beta,
+        point=around.point,
+        scale=around.scale,
+        surface=Surface(*surface),
+        wide=Surface(*(part.index_select(0, led) for part in wide)),
+        crowd=crowd,
+        confidence=told.confidence,
+        state=told.state,
+        typical=around.scale.median(),
     )
 
 
-def local_scale(lines: Lines, beta: Float[Tensor, " lines"], shards: Shards = ALONE) -> Float[Tensor, " lines"]:
-    """The local scale of each estimate, as in its surroundings."""
-    point = lines.at(beta)
-    near = nearest_points_to_points(point, SCALE, shards=shards)
-    reach = near.distance[:, -1] if near.distance.shape[1] else torch.zeros_like(point[shards.own(len(point)), 0])
-    return _floored(shards.gather(reach, len(point)))
+def _queried(
+    tree: KDTree, places: Float[np.ndarray, "rows 3"], k: int
+) -> tuple[Float[Tensor, "rows k"], Int[Tensor, "rows k"]]:
+    """Distances and indices of the k points of a tree nearest to places."""
+    distance, index = tree.query(places, k)
+    # SciPy drops the axis of k = 1.
+    return torch.as_tensor(distance).view(-1, k), torch.as_tensor(index).view(-1, k)
+
+
+def _over_rows(work: Callable[[slice], tuple[Tensor, ...]], count: int) -> list[Tensor]:
+    """What is found of some rows, block by block."""
+    found = [part for _, part in over_blocks(work, count, _BLOCK, row_bytes=_ROW_BYTES)] or [work(slice(0))]
+    return [torch.cat(parts) for parts in zip(*found, strict=True)]
 
 
 def _floored(reach: Float[Tensor, " lines"]) -> Float[Tensor, " lines"]:

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from l2p.errors import InputError
-from l2p.features import STATE, Nodes, Told, edges, local_scale, surroundings
+from l2p.features import STATE, Nodes, Told, described, edges, nearest_estimates, surroundings
 from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.neighborhoods import Estimate, in_own_order
@@ -52,15 +52,20 @@ class LearnedConfig:
         Lines judged at a time; the answer does not depend on it.
     peak : PeakConfig
         The weighted votes are not trimmed: the weights have done it.
+    relaxation : float
+        Between two rounds an estimate goes this many times as far as the last round moved it: over-relaxation (Young,
+        1954), since the estimates around it are about to move the same way. Moves of more than a local scale, which
+        are changes of mind, are left as they are, and so are those of the last round.
     weight : str
         What weighs the votes: ``vote``, the network's word on each of them; ``affinity``, the square of the candidate's
         affinity, the same for all of its votes.
     """
 
-    rounds: int = 4
+    rounds: int = 3
     candidates: int = 32
     batch: int = BLOCK
     peak: PeakConfig = PeakConfig(threshold=0.5, trim=0)
+    relaxation: float = 1.4
     weight: str = "vote"
 
     def __post_init__(self) -> None:
@@ -68,13 +73,17 @@ class LearnedConfig:
             value = getattr(self, name)
             if value < least:
                 raise InputError(f"got {name} {value} of the learned attack; expected at least {least}")
+        if not 0 < self.relaxation < 2:
+            raise InputError(
+                f"got relaxation {self.relaxation} of the learned attack; expected more than 0, less than 2"
+            )
         if self.weight not in ("vote", "affinity"):
             raise InputError(f"got weight {self.weight!r} of the learned attack; expected 'vote' or 'affinity'")
 
 
 class Round(NamedTuple):
-    """What a round finds: what all lines are told in the next one, and of the lines of this process the candidates with
-    their affinities, and how sure it is of each estimate (logits, see :class:`l2p.network.Judgement`)."""
+    """What a round finds: the estimates of all lines, and of the lines of this process the candidates with their
+    affinities, and how sure it is of each estimate (logits, see :class:`l2p.network.Judgement`)."""
 
     told: Told
     candidates: Int[Tensor, "own k"]
@@ -87,9 +96,9 @@ def first_nodes(lines: Lines, posterior: Posterior, shards: Shards = ALONE) -> N
     count = len(lines.direction)
     mode, _ = modes(posterior)
     beta = shards.gather(mode, count)
-    state = beta.new_zeros(count, STATE)
-    scale = local_scale(lines, beta, shards)[shards.own(count)]
-    return surroundings(lines, beta, shards.gather(mass_within(posterior, mode, scale), count), state, shards)
+    around = nearest_estimates(lines, beta, shards)
+    confidence = shards.gather(mass_within(posterior, mode, around.scale[shards.own(count)]), count)
+    return described(lines, around, Told(beta, confidence, beta.new_zeros(count, STATE)), shards)
 
 
 def find_candidates(
@@ -143,6 +152,12 @@ def judging_bytes(network: LineTransformer, k: int) -> float:
 def told(sure: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:
     """The confidence that the lines around are told in the next round, as the network gives it."""
     return torch.sigmoid(sure[:, _TOLD])
+
+
+def relaxed(nodes: Nodes, told: Told, config: LearnedConfig) -> Told:
+    """What a round found, its estimates moved farther than it moved those of ``nodes``, for the next round."""
+    moved = told.beta - nodes.beta
+    return told._replace(beta=torch.where(moved.abs() < nodes.scale, nodes.beta + config.relaxation * moved, told.beta))
 
 
 def weighted_peak(judgement: Judgement, config: LearnedConfig) -> Float[Tensor, " lines"]:
@@ -209,14 +224,12 @@ class Learned:
             candidates = find_candidates(lines, nodes, self.config, progress, shards)
             affinity = (candidates >= 0).to(nodes.beta.dtype)
             return Estimate(nodes.beta[own], nodes.confidence[own], candidates, affinity)
-        found = None
-        for number in range(done, self.config.rounds):
-            if found is not None:
-                nodes = surroundings(lines, *found.told, shards)
+        for number in range(done + 1, self.config.rounds):
             found = judge_round(lines, nodes, posterior, network, self.config, progress, shards)
-            if number + 1 < self.config.rounds:
-                rounds.keep(number + 1, found.told._asdict())
-        assert found is not None
+            told = relaxed(nodes, found.told, self.config)
+            rounds.keep(number, told._asdict())
+            nodes = surroundings(lines, told, shards)
+        found = judge_round(lines, nodes, posterior, network, self.config, progress, shards)
         return Estimate(found.told.beta[own], self.confidence(found), found.candidates, found.affinity)
 
     def _begun(self, lines: Lines, posterior: Posterior, rounds: Rounds) -> tuple[int, Nodes]:
@@ -226,7 +239,7 @@ class Learned:
         done, kept = rounds.last(like._asdict())
         if not done:
             return 0, first_nodes(lines, posterior, rounds.shards)
-        return done, surroundings(lines, **kept, shards=rounds.shards)
+        return done, surroundings(lines, Told(**kept), rounds.shards)
 
     def confidence(self, found: Round) -> Float[Tensor, " own"]:
         """Calibrated probability that each point of the last round lies within 1 spacing of the map."""

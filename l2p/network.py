@@ -105,18 +105,17 @@ class Judgement(NamedTuple):
 
 
 class Attention(NamedTuple):
-    """Who attends to whom: ``kernel``, unscaled, from token k to token j; ``share``, the factor with which what reaches
-    j sums to about 1; and ``count``, 1 for candidates and 0 for padding."""
+    """Who attends to whom: ``kernel``, unscaled, from token k to token j, 0 from padding; ``share``, the factor that
+    makes what reaches j sum to about 1."""
 
     kernel: Float[Tensor, "lines heads k j"]
     share: Float[Tensor, "lines heads 1 j"]
-    count: Float[Tensor, "lines k"]
 
     def gathered(self, value: Float[Tensor, "lines k width"]) -> Float[Tensor, "lines j width"]:
         """What each token gathers of the values around it, a part of the width in each head."""
         heads = self.kernel.shape[1]
         # Products with rows of 8 numbers are several times faster from the left than from the right.
-        parts = (value * self.count[..., None]).transpose(1, 2).contiguous().unflatten(1, (heads, -1))
+        parts = value.transpose(1, 2).contiguous().unflatten(1, (heads, -1))
         return (parts @ self.kernel * self.share).flatten(1, 2).transpose(1, 2)
 
 
@@ -199,7 +198,8 @@ class LineTransformer(nn.Module):
         width = edges.width.masked_fill(~valid, 1.0)
         foot = edges.foot.masked_fill(~valid, 0)
         # Rows are the candidates k, columns the feet j.
-        apart2 = (foot[:, None, :] - foot[:, :, None]).square_().add_(edges.gap.square()[:, :, None])
+        gap2 = edges.gap.square().masked_fill(~valid, torch.inf)
+        apart2 = (foot[:, None, :] - foot[:, :, None]).square_().add_(gap2[:, :, None])
         apart2 = apart2.mul_(width.square().reciprocal()[:, :, None])
         # (1 + a / s^2)^-2 = s^4 (s^2 + a)^-2; the factor goes where there are fewer numbers.
         scale2 = apart2.new_tensor(self.config.scales).square()[:, None, None]
@@ -219,7 +219,7 @@ class LineTransformer(nn.Module):
         shift = edges.side[:, None] * shift.clamp(-_FARTHEST_MEAN, _FARTHEST_MEAN)
         around = torch.cat([level, shift[:, :, None]], dim=2).flatten(1, 2)
         around = around.nan_to_num_().masked_fill_(~valid[:, None], 0).transpose(1, 2)
-        return Attention(kernel, factor / (number[:, :, None] + 1e-2), count), around
+        return Attention(kernel, factor / (number[:, :, None] + 1e-2)), around
 
 
 def _columns(table: Float[Tensor, "lines k columns"], kept: list[int]) -> Float[Tensor, "lines k kept"]:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 import l2p
-from l2p.features import EDGE, SCALE, STATE, VOTES, WIDE, Edges, Nodes, edges, surroundings
+from l2p.features import EDGE, SCALE, STATE, VOTES, WIDE, Edges, Nodes, Told, edges, surroundings
 from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.surfaces import Surface, fitted
@@ -33,7 +33,7 @@ class Scene(NamedTuple):
 
     @property
     def nodes(self) -> Nodes:
-        return surroundings(self.lines, self.beta, self.confidence, self.state)
+        return surroundings(self.lines, Told(self.beta, self.confidence, self.state))
 
     def edges(self) -> Edges:
         return edges(self.lines, self.nodes, self.posterior, ROWS, self.candidates[ROWS])
@@ -208,6 +208,22 @@ def test_surroundings_are_those_of_the_nearest_estimates(scene: Scene) -> None:
                 torch.testing.assert_close(found.abs(), part.abs(), atol=1e-6, rtol=1e-6)
 
 
+def test_wide_surfaces_are_those_of_the_nearest_leader() -> None:
+    """Of every second estimate, when there are more of them than one surface takes."""
+    draw = torch.Generator().manual_seed(0)
+    foot = torch.randn(3 * WIDE, 3, generator=draw).double()
+    direction = torch.nn.functional.normalize(torch.randn(foot.shape, generator=draw).double(), dim=1)
+    lines = Lines(direction, torch.linalg.cross(foot, direction))
+    beta, confidence = (foot * direction).sum(dim=1), torch.rand(len(foot), generator=draw).double()
+    nodes = surroundings(lines, Told(beta, confidence, torch.zeros(len(foot), STATE).double()))
+    for i, point in enumerate(foot):
+        leader = 2 * int((foot[::2] - point).norm(dim=1).argmin())
+        some = (foot - foot[leader]).norm(dim=1).argsort()[: WIDE + 1]
+        expected = fitted(*(part[some][None] for part in (foot, direction, confidence)))
+        for found, part in zip(nodes.wide, expected, strict=True):
+            torch.testing.assert_close(found[i].abs(), part[0].abs(), atol=1e-6, rtol=1e-6)
+
+
 def test_a_rigid_motion_and_scale_change_lengths_alone(scene: Scene, rng: np.random.Generator) -> None:
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn = torch.as_tensor(turn * np.linalg.det(turn))
@@ -274,7 +290,7 @@ def test_other_rows_change_nothing(scene: Scene) -> None:
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_few_and_coinciding_estimates_have_finite_surroundings(scene: Scene, count: int) -> None:
     lines = Lines(*(part[:1].repeat(count, 1) for part in scene.lines))
-    nodes = surroundings(lines, scene.beta[:1].repeat(count), scene.confidence[:count], scene.state[:count])
+    nodes = surroundings(lines, Told(scene.beta[:1].repeat(count), scene.confidence[:count], scene.state[:count]))
     assert (nodes.scale > 0).all() and nodes.crowd.isfinite().all()
     for surface in (nodes.surface, nodes.wide):
         assert all(part.isfinite().all() for part in surface)

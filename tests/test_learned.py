@@ -13,7 +13,7 @@ from l2p.attack import run
 from l2p.errors import InputError
 from l2p.features import Told, surroundings
 from l2p.frame import Frame
-from l2p.learned import Learned, LearnedConfig, Round, _between, first_nodes, judge_round, spacing_ratio
+from l2p.learned import Learned, LearnedConfig, Round, _between, first_nodes, judge_round, relaxed, spacing_ratio
 from l2p.lines import LineCloud
 from l2p.metrics import spacing
 from l2p.neighborhoods import own_order
@@ -151,17 +151,35 @@ def test_one_network_judges_every_line_in_every_round(lines: LineCloud, rounds: 
     assert sum(seen) == rounds * len(lines) and max(seen) == 64
 
 
-def test_a_round_starts_where_the_one_before_ended(lines: LineCloud, first: Recovery) -> None:
+def test_a_round_starts_from_what_the_one_before_found(lines: LineCloud, first: Recovery) -> None:
     method, frame = attack(), Frame.of(lines)
     with torch.inference_mode():
         entered = frame.enter(lines)
         order = own_order(entered)
         inside = entered.rows(order)
         posterior = reconstruct(inside)
-        before = judge_round(inside, first_nodes(inside, posterior), posterior, method.network, method.config)
-        after = judge_round(inside, surroundings(inside, *before.told), posterior, method.network, method.config)
+        nodes = first_nodes(inside, posterior)
+        before = judge_round(inside, nodes, posterior, method.network, method.config)
+        told = relaxed(nodes, before.told, method.config)
+        after = judge_round(inside, surroundings(inside, told), posterior, method.network, method.config)
     np.testing.assert_array_equal(first.beta, frame.leave(lines, after.told.beta[order.argsort()]))
     assert not np.allclose(first.beta, run(lines, attack(rounds=1)).beta, atol=1e-3)
+
+
+def test_relaxation_moves_estimates_on_but_not_those_that_jumped(lines: LineCloud) -> None:
+    inside = Frame.of(lines).enter(lines)
+    with torch.inference_mode():
+        nodes = first_nodes(inside, reconstruct(inside))
+    share = torch.linspace(-2.5, 2.5, len(nodes.beta))
+    told = Told(nodes.beta + share * nodes.scale, nodes.confidence, nodes.state)
+    again = relaxed(nodes, told, LearnedConfig(relaxation=1.5))
+    for i, part in enumerate(share.tolist()):
+        factor = 1.5 if abs(part) < 1 else 1.0
+        assert float(again.beta[i]) == pytest.approx(
+            float(nodes.beta[i]) + factor * part * float(nodes.scale[i]), abs=1e-5
+        )
+    assert torch.equal(again.confidence, told.confidence) and torch.equal(again.state, told.state)
+    assert torch.equal(relaxed(nodes, told, LearnedConfig(relaxation=1.0)).beta, told.beta)
 
 
 def test_calibration_of_the_last_round_makes_the_confidence(lines: LineCloud, first: Recovery) -> None:
@@ -186,6 +204,12 @@ def test_each_radius_has_a_calibration_of_its_own() -> None:
     upto = [a * sure[:, place] + b for place, (a, b) in enumerate(pairs)][: RADII.index(1.0) + 1]
     expected = torch.sigmoid(torch.stack(upto, dim=1).amax(dim=1))
     torch.testing.assert_close(method.confidence(found(sure)), expected)
+
+
+@pytest.mark.parametrize("relaxation", [-1.0, 0.0, 2.0, math.nan])
+def test_relaxations_that_do_not_settle_are_refused(relaxation: float) -> None:
+    with pytest.raises(InputError, match=r"got relaxation .* of the learned attack; expected more than 0, less than 2"):
+        LearnedConfig(relaxation=relaxation)
 
 
 def test_more_rounds_than_calibrations_are_refused() -> None:

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from l2p.features import surroundings
-from l2p.learned import LearnedConfig, judge_round
+from l2p.learned import LearnedConfig, judge_round, relaxed
 from l2p.metrics import calibration_error
 from l2p.network import RADII, LineTransformer
 from train.clouds import Cloud, CloudSource
@@ -37,7 +37,7 @@ def rounds_of(cloud: Cloud, network: LineTransformer, config: LearnedConfig) -> 
         result = judge_round(cloud.lines, nodes, cloud.posterior, network, config)
         found.append(Judged((result.told.beta - cloud.true_beta).abs() / cloud.spacing, result.sure))
         if number + 1 < config.rounds:
-            nodes = surroundings(cloud.lines, *result.told)
+            nodes = surroundings(cloud.lines, relaxed(nodes, result.told, config))
     return found
 
 

@@ -16,8 +16,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.features import Edges, Nodes, surroundings
-from l2p.learned import LearnedConfig, find_candidates, told
+from l2p.features import Edges, Nodes, Told, surroundings
+from l2p.learned import LearnedConfig, find_candidates, relaxed, told
 from l2p.network import RADII, Judgement
 from train.clouds import Cloud, CloudSource, lifted
 from train.losses import Sample
@@ -110,7 +110,7 @@ class Pool:
         for part in state["entries"]:
             source = self.sources[part["number"]]
             cloud = lifted(source)
-            nodes = surroundings(cloud.lines, *part["before"]) if part["round"] else cloud.first_nodes
+            nodes = surroundings(cloud.lines, Told(*part["before"])) if part["round"] else cloud.first_nodes
             entry = self._entry(source, cloud, part["number"], part["round"], nodes)
             entry.turn = part["turn"]
             entry.beta, entry.sure, entry.state = (value.clone() for value in part["found"])
@@ -126,7 +126,8 @@ class Pool:
     def _after(self, entry: Entry) -> Entry:
         if entry.round + 1 >= self.config.rounds:
             return self._fresh()
-        nodes = surroundings(entry.cloud.lines, entry.beta, told(entry.sure), entry.state)
+        found = relaxed(entry.nodes, Told(entry.beta, told(entry.sure), entry.state), self.config)
+        nodes = surroundings(entry.cloud.lines, found)
         return self._entry(entry.source, entry.cloud, entry.number, entry.round + 1, nodes)
 
     def _entry(self, source: CloudSource, cloud: Cloud, number: int, round: int, nodes: Nodes) -> Entry:
