@@ -1,0 +1,57 @@
+"""What each round of the learned attack finds, by how much farther its estimates are moved between the rounds.
+
+    python benchmarks/relaxation.py ../shared/scenes/train/bust_bronze.npz
+
+Judges line clouds of all points, up to a number of lines, and of a tenth of these, with the shipped checkpoint. Prints
+for each relaxation the geometric mean of the median errors after each round, in spacings of the clouds' own points, and
+the mean share within 1 of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from l2p.checkpoint import load, shipped
+from train.clouds import Cloud, CloudSource, lifted, read
+from train.judging import errors_by_round
+
+#: Scenes that nobody trained on.
+SIMULATED = ("sim:room:8000:901", "sim:facade:8000:901", "sim:object:8000:901", "sim:terrain:8000:901")
+
+
+def clouds(scenes: list[str], lines: int) -> list[Cloud]:
+    """Two of each scene."""
+    most = {scene: min(1.0, lines / len(read(scene).xyz)) for scene in scenes}
+    return [lifted(CloudSource(scene, share * part, 0)) for scene, part in most.items() for share in (1.0, 0.1)]
+
+
+def main() -> None:
+    """Print one row a relaxation, as it comes."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", default=list(SIMULATED), help="scenes, or sim:KIND:POINTS:SEED (default)")
+    parser.add_argument(
+        "--relaxation", type=float, nargs="+", default=[1.0, 1.2, 1.4, 1.6], help="(default: %(default)s)"
+    )
+    parser.add_argument("--rounds", type=int, default=4, help="(default: %(default)s)")
+    parser.add_argument("--lines", type=int, default=8000, help="of a cloud at most (default: %(default)s)")
+    parser.add_argument("--checkpoint", default=shipped(), help="(default: the shipped one)")
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    attack = load(given.checkpoint)
+    known = clouds(given.scenes, given.lines)
+    print("| relaxation | median error after each round | within 1 |\n| ---: | --- | --- |")
+    for relaxation in given.relaxation:
+        config = replace(attack.config, rounds=given.rounds, relaxation=relaxation)
+        errors = [errors_by_round(cloud, attack.network, config) for cloud in known]
+        median = np.exp(np.mean([[float(part.median().log()) for part in cloud] for cloud in errors], axis=0))
+        within = np.mean([[float((part <= 1).float().mean()) for part in cloud] for cloud in errors], axis=0)
+        row = ", ".join(f"{number:.4f}" for number in median), ", ".join(f"{number:.1%}" for number in within)
+        print(f"| {relaxation:g} | {' | '.join(row)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
