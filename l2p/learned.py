@@ -22,7 +22,7 @@ from l2p.frame import Frame
 from l2p.geometry import Lines
 from l2p.neighborhoods import Estimate, in_own_order
 from l2p.network import NO_VOTE, NOTHING, RADII, Judgement, LineTransformer
-from l2p.peak import PeakConfig, find_peak
+from l2p.peak import PeakConfig, find_peak, settled
 from l2p.progress import NO_PROGRESS, Progress
 from l2p.rounds import Rounds
 from l2p.search import nearest_points_to_lines
@@ -33,6 +33,8 @@ from l2p.tomography import Posterior, TomographyConfig, mass_within, modes, reco
 
 #: Of the radii, the one that the lines around are told the confidence of.
 _TOLD = RADII.index(1.0)
+#: Errors of votes that settle together, over the spread of a vote when it is right and the others may be wrong.
+_WIDER = 4.0
 #: Points of maps lie on surfaces, and in bunches on them: the dimension that spacings of thinned training scenes show.
 _DIMENSION = 1.9
 
@@ -56,6 +58,8 @@ class LearnedConfig:
         Between two rounds an estimate goes this many times as far as the last round moved it: over-relaxation (Young,
         1954), since the estimates around it are about to move the same way. Moves of more than a local scale, which
         are changes of mind, are left as they are, and so are those of the last round.
+    settling : int
+        Steps in which a peak settles among the votes around it (:func:`l2p.peak.settled`); 0 leaves Kuiper's.
     weight : str
         What weighs the votes: ``vote``, the network's word on each of them; ``affinity``, the square of the candidate's
         affinity, the same for all of its votes.
@@ -66,10 +70,11 @@ class LearnedConfig:
     batch: int = BLOCK
     peak: PeakConfig = PeakConfig(threshold=0.5, trim=0)
     relaxation: float = 1.4
+    settling: int = 6
     weight: str = "vote"
 
     def __post_init__(self) -> None:
-        for name, least in (("rounds", 0), ("candidates", 1), ("batch", 1)):
+        for name, least in (("rounds", 0), ("candidates", 1), ("batch", 1), ("settling", 0)):
             value = getattr(self, name)
             if value < least:
                 raise InputError(f"got {name} {value} of the learned attack; expected at least {least}")
@@ -167,7 +172,10 @@ def weighted_peak(judgement: Judgement, config: LearnedConfig) -> Float[Tensor, 
     else:
         weight = torch.sigmoid(judgement.affinity).square()[..., None]
         weight = (weight * (judgement.vote > NO_VOTE)).flatten(1)
-    return find_peak(judgement.place.flatten(1), weight, config.peak).beta.nan_to_num(nan=0.0)
+    place = judgement.place.flatten(1)
+    peak = find_peak(place, weight, config.peak).beta
+    spread = _WIDER * judgement.spread.flatten(1)
+    return settled(peak, place, weight, spread, config.settling).nan_to_num(nan=0.0)
 
 
 class Learned:

@@ -93,12 +93,14 @@ class Judgement(NamedTuple):
     """The network's word on each line.
 
     ``affinity``: logit of each candidate being a true neighbour. ``place``: each candidate's votes, positions on the
-    line from the estimate before, ``vote``: logits of the point being there, over all votes of a line. ``sure``: logits
-    of the point being found within each of ``RADII``. ``state`` is handed to the next round.
+    line from the estimate before, ``spread``: the size of their errors, ``vote``: logits of the point being there, over
+    all votes of a line. ``sure``: logits of the point being found within each of ``RADII``. ``state`` is handed to the
+    next round.
     """
 
     affinity: Float[Tensor, "lines k"]
     place: Float[Tensor, "lines k votes"]
+    spread: Float[Tensor, "lines k votes"]
     vote: Float[Tensor, "lines k votes"]
     state: Float[Tensor, "lines state"]
     sure: Float[Tensor, "lines radii"]
@@ -188,9 +190,10 @@ class LineTransformer(nn.Module):
         judged = self.judge(token)
         affinity = judged[..., 0].masked_fill(~edges.valid, NOTHING)
         vote = judged[..., 1:].masked_fill(~edges.valid[..., None], NO_VOTE)
+        spread = edges.width.masked_fill(~edges.valid, 1.0)[..., None] * self.log_spread.exp()
         pooled = self.pool(_pooled(token, affinity, edges.valid))
         state, sure = torch.tanh(pooled[:, :STATE]), _rising(pooled[:, STATE:])
-        return Judgement(affinity, _columns(edges.vote, self.kinds), vote, state, sure)
+        return Judgement(affinity, _columns(edges.vote, self.kinds), spread, vote, state, sure)
 
     def _kernels(self, edges: Edges) -> tuple[Attention, Float[Tensor, "lines k around"]]:
         """The attention of each head, and inputs about what is around each foot."""

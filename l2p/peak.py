@@ -5,6 +5,9 @@ uniform distribution U between the lowest and the highest vote. A peak begins wh
 is greatest; the difference of the two extremes is Kuiper's statistic V. The search is repeated inside the peak until
 the votes that it was sought among look uniform, V < threshold; the answer is the median of what is left (Chelani et
 al., CVPR 2021, section 4.2 and appendix).
+
+Where the size of each vote's error is known, the median is not the last word: votes around the peak are measurements
+of one place, some of them finer than others (:func:`settled`).
 """
 
 from __future__ import annotations
@@ -111,6 +114,35 @@ def find_peak(
         active, low, length = active[again], low[again], length[again]
         inner = _slice(inner, rows, low, length)
     return _median(votes, first, count, statistic)
+
+
+def settled(
+    beta: Float[Tensor, " lines"],
+    place: Float[Tensor, "lines k"],
+    weight: Float[Tensor, "lines k"],
+    spread: Float[Tensor, "lines k"],
+    steps: int,
+) -> Float[Tensor, " lines"]:
+    """Where votes that err by ``spread`` settle, from a peak of them on.
+
+    The M-estimate of location for errors of Cauchy's distribution: the least of
+    sum_k w_k log(1 + ((beta - p_k) / s_k)^2) near the peak, by iteratively reweighted least squares (Holland and
+    Welsch, Communications in Statistics 6, 1977). Votes of another peak hardly count.
+
+    Parameters
+    ----------
+    beta : (lines,)
+        Peaks, positions along the line.
+    place, weight, spread : (lines, k)
+        Votes, at least one of which has a weight; ``spread`` is above 0.
+    steps : int
+        Reweightings.
+    """
+    for _ in range(steps):
+        away = place - beta[:, None]
+        pull = weight / (spread.square() + away.square())
+        beta = beta + torch.linalg.vecdot(pull, away) / pull.sum(dim=1)
+    return beta
 
 
 def _packed(beta: Float[Tensor, "lines k"], weight: Float[Tensor, "lines k"]) -> _Votes:

@@ -13,11 +13,21 @@ from l2p.attack import run
 from l2p.errors import InputError
 from l2p.features import Told, surroundings
 from l2p.frame import Frame
-from l2p.learned import Learned, LearnedConfig, Round, _between, first_nodes, judge_round, relaxed, spacing_ratio
+from l2p.learned import (
+    Learned,
+    LearnedConfig,
+    Round,
+    _between,
+    first_nodes,
+    judge_round,
+    relaxed,
+    spacing_ratio,
+    weighted_peak,
+)
 from l2p.lines import LineCloud
 from l2p.metrics import spacing
 from l2p.neighborhoods import own_order
-from l2p.network import RADII, LineTransformer, NetworkConfig
+from l2p.network import NO_VOTE, RADII, Judgement, LineTransformer, NetworkConfig
 from l2p.recovery import Recovery
 from l2p.tomography import modes, reconstruct
 
@@ -180,6 +190,25 @@ def test_relaxation_moves_estimates_on_but_not_those_that_jumped(lines: LineClou
         )
     assert torch.equal(again.confidence, told.confidence) and torch.equal(again.state, told.state)
     assert torch.equal(relaxed(nodes, told, LearnedConfig(relaxation=1.0)).beta, told.beta)
+
+
+@pytest.mark.parametrize("weight", ["vote", "affinity"])
+def test_votes_settle_from_kuipers_peak_on(weight: str) -> None:
+    """Two votes of the lines' own crowd are moved together; absent ones are of no weight."""
+    draw = torch.Generator().manual_seed(0)
+    place = torch.randn(9, 6, 3, generator=draw)
+    vote = torch.randn(9, 6, 3, generator=draw)
+    vote[:, 4:], vote[0] = NO_VOTE, NO_VOTE
+    some = torch.zeros(9, 6)
+    judgement = Judgement(some, place, torch.full_like(place, 0.01), vote, some, some)
+    kuiper = weighted_peak(judgement, LearnedConfig(weight=weight, settling=0))
+    once = weighted_peak(judgement, LearnedConfig(weight=weight, settling=1))
+    assert (once != kuiper)[1:].all() and ((once - kuiper).abs() < 1)[1:].all()
+    if weight == "affinity":
+        assert kuiper[0] == once[0] == 0, "a line without votes stays where it is"
+    moved = judgement._replace(place=torch.where(judgement.vote > NO_VOTE, place, 1e6))
+    one, other = (weighted_peak(some, LearnedConfig(weight=weight)) for some in (judgement, moved))
+    torch.testing.assert_close(one[1:], other[1:])
 
 
 def test_calibration_of_the_last_round_makes_the_confidence(lines: LineCloud, first: Recovery) -> None:

@@ -41,6 +41,7 @@ def one_line(
     judgement = Judgement(
         affinity=torch.zeros(1, k),
         place=torch.tensor(places)[None, :, None].repeat(1, 1, KINDS),
+        spread=torch.full((1, k, KINDS), width),
         vote=torch.tensor(logits)[None, :, None].repeat(1, 1, KINDS),
         state=torch.zeros(1, STATE),
         sure=torch.zeros(1, len(RADII)),
@@ -50,27 +51,28 @@ def one_line(
 
 def test_position_loss_is_the_mixture_over_a_floor() -> None:
     sample, judgement = one_line([0.1, 0.5], [0.0, 1.0], true_beta=0.3)
-    spread = torch.linspace(-0.3, 0.2, KINDS)
+    spread = 0.2 * torch.linspace(-0.3, 0.2, KINDS).exp()
     weight, total = np.exp([0.0, 1.0]) / (KINDS * np.exp([0.0, 1.0]).sum()), 0.0
     for kind in range(KINDS):
         for place, share in zip((0.1, 0.5), weight, strict=True):
-            width = 0.2 * np.exp(spread[kind].item())
+            width = spread[kind].item()
             total += share / (1 + ((place - 0.3) / width) ** 2) / (width / 0.5)
     expected = -np.log(total + np.exp(BACKGROUND))
-    assert position_loss(judgement, sample, spread).item() == pytest.approx(expected, rel=1e-5)
+    judgement = judgement._replace(spread=spread.expand(1, 2, KINDS))
+    assert position_loss(judgement, sample).item() == pytest.approx(expected, rel=1e-5)
 
 
 def test_position_loss_of_a_hopeless_line_is_bounded() -> None:
     sample, judgement = one_line([0.1], [0.0], true_beta=1e9)
-    assert position_loss(judgement, sample, torch.zeros(KINDS)).item() == pytest.approx(-BACKGROUND, abs=1e-4)
+    assert position_loss(judgement, sample).item() == pytest.approx(-BACKGROUND, abs=1e-4)
 
 
 def test_position_loss_does_not_depend_on_the_unit_of_length() -> None:
     sample, judgement = one_line([0.1, 0.5], [0.0, 1.0], true_beta=0.3)
-    edges = sample.edges._replace(width=40 * sample.edges.width)
-    larger = sample._replace(edges=edges, true_beta=40 * sample.true_beta, spacing=40 * sample.spacing)
-    one = position_loss(judgement, sample, torch.zeros(KINDS))
-    other = position_loss(judgement._replace(place=40 * judgement.place), larger, torch.zeros(KINDS))
+    larger = sample._replace(true_beta=40 * sample.true_beta, spacing=40 * sample.spacing)
+    one = position_loss(judgement, sample)
+    scaled = judgement._replace(place=40 * judgement.place, spread=40 * judgement.spread)
+    other = position_loss(scaled, larger)
     torch.testing.assert_close(one, other)
 
 
@@ -90,7 +92,7 @@ def test_a_line_is_found_within_the_radii_that_its_error_is_below() -> None:
     """Votes at 0.5, the truth at 0.3, in a cloud of spacing 0.5: an error of 0.4 spacings."""
     sample, judgement = one_line([0.5, 0.5], [0.0, 0.0], true_beta=0.3)
     judgement = judgement._replace(sure=torch.tensor([[-2.0, -1.0, 0.0, 1.0, 3.0]]))
-    found = losses(sample, judgement, torch.zeros(KINDS), torch.zeros(1), LearnedConfig(peak=PeakConfig(trim=0)))
+    found = losses(sample, judgement, torch.zeros(1), LearnedConfig(peak=PeakConfig(trim=0)))
     assert found.moved.item() == pytest.approx(0.5) and found.error.item() == pytest.approx(0.4)
     inside = [radius >= 0.4 for radius in RADII]
     terms = [math.log1p(math.exp(-s if yes else s)) for s, yes in zip((-2, -1, 0, 1, 3), inside, strict=True)]
@@ -108,7 +110,7 @@ def test_gradients_reach_every_weight() -> None:
     network, probe = LineTransformer(NetworkConfig(width=8, layers=2, heads=2)), torch.nn.Linear(STATE, 1)
     sample = cloud.sample(nodes, candidates, torch.arange(40))
     judgement = network(sample.edges)
-    found = losses(sample, judgement, network.log_spread, probe(judgement.state).squeeze(1), LearnedConfig())
+    found = losses(sample, judgement, probe(judgement.state).squeeze(1), LearnedConfig())
     found.total.backward()
     for name, part in [*network.named_parameters(), *probe.named_parameters()]:
         assert part.grad is not None and part.grad.isfinite().all() and part.grad.abs().max() > 0, name

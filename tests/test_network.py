@@ -146,7 +146,7 @@ def test_any_batch_gives_the_same(network: LineTransformer, edges: Edges) -> Non
 def test_padding_changes_nothing(network: LineTransformer, edges: Edges) -> None:
     some = rows(edges, slice(SHORT, SHORT + 1))
     short, padded = judged(network, columns(some, slice(0, 5))), judged(network, some)
-    trimmed = {name: getattr(padded, name)[:, :5] for name in ("affinity", "place", "vote")}
+    trimmed = {name: getattr(padded, name)[:, :5] for name in ("affinity", "place", "spread", "vote")}
     assert_close(short, padded._replace(**trimmed))
     assert torch.sigmoid(padded.affinity[:, 5:]).lt(1e-12).all()
     assert torch.softmax(padded.vote.flatten(1), dim=1).unflatten(1, padded.vote.shape[1:])[:, 5:].eq(0).all()
@@ -169,7 +169,7 @@ def test_what_stands_in_padding_changes_nothing(network: LineTransformer, edges:
 def test_order_of_candidates_changes_nothing(network: LineTransformer, edges: Edges) -> None:
     order = torch.randperm(K, generator=torch.Generator().manual_seed(2))
     one, other = judged(network, edges), judged(network, columns(edges, order))
-    moved = {name: getattr(one, name)[:, order] for name in ("affinity", "place", "vote")}
+    moved = {name: getattr(one, name)[:, order] for name in ("affinity", "place", "spread", "vote")}
     assert_close(one._replace(**moved), other)
 
 
@@ -179,11 +179,13 @@ def test_a_flipped_direction_flips_places_alone(network: LineTransformer, edges:
     assert_close(one, other._replace(place=-other.place))
 
 
-def test_the_unit_of_length_changes_places_alone(network: LineTransformer, edges: Edges) -> None:
+def test_the_unit_of_length_changes_places_and_their_spread_alone(network: LineTransformer, edges: Edges) -> None:
     lengths = {name: 40 * getattr(edges, name) for name in ("vote", "foot", "gap", "width")}
     larger = edges._replace(**lengths)
     one, other = judged(network, edges), judged(network, larger)
-    assert_close(one, other._replace(place=(other.place / 40).where(edges.valid[..., None], one.place)))
+    there = edges.valid[..., None]
+    place, spread = ((o / 40).where(there, mine) for o, mine in ((other.place, one.place), (other.spread, one.spread)))
+    assert_close(one, other._replace(place=place, spread=spread))
 
 
 def test_sure_does_not_fall_with_the_radius(network: LineTransformer, edges: Edges) -> None:
@@ -209,9 +211,10 @@ def test_candidates_without_confidence_are_judged(network: LineTransformer, edge
 def test_gradients_are_finite_and_reach_everything(network: LineTransformer, edges: Edges) -> None:
     answer = network.train()(edges)
     there = edges.valid
-    (answer.affinity[there].sum() + answer.vote[there].sum() + answer.sure.sum() + answer.state.sum()).backward()
+    parts = (answer.affinity[there], answer.spread[there], answer.vote[there], answer.sure, answer.state)
+    sum(part.sum() for part in parts).backward()
     for name, part in network.named_parameters():
-        assert name == "log_spread" or (part.grad is not None and part.grad.isfinite().all()), name
+        assert part.grad is not None and part.grad.isfinite().all(), name
 
 
 @pytest.mark.parametrize("sizes", [{"width": 10, "heads": 4}, {"heads": 0}, {"width": 0}])

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from l2p.peak import PeakConfig, find_peak
+from l2p.peak import PeakConfig, find_peak, settled
 
 RULES = ("single", "several")
 both_rules = pytest.mark.parametrize("rule", RULES)
@@ -258,3 +258,46 @@ def test_a_touch_of_both_distributions_before_the_least_does_not_lose_the_peak(r
 def test_an_unknown_rule_is_refused():
     with pytest.raises(ValueError, match="got peak rule 'best'; expected 'single' or 'several'"):
         PeakConfig(rule="best")
+
+
+def votes_around(seed: int, lines: int = 20, k: int = 12) -> tuple[torch.Tensor, ...]:
+    """Places, weights and spreads, and starts near the first vote of each line."""
+    draw = torch.Generator().manual_seed(seed)
+    place, weight = torch.randn(lines, k, generator=draw).double(), torch.rand(lines, k, generator=draw).double()
+    spread = 0.2 + torch.rand(lines, k, generator=draw).double()
+    return place[:, 0] + 0.1, place, weight, spread
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_votes_settle_where_the_likelihood_is_greatest_nearby(seed):
+    """Against a descent of its own, with the gradient from autograd."""
+    start, place, weight, spread = votes_around(seed)
+
+    def loss(beta):
+        return (weight * torch.log1p(((beta[:, None] - place) / spread).square())).sum(dim=1)
+
+    found = settled(start, place, weight, spread, 400).requires_grad_()
+    torch.testing.assert_close(
+        torch.autograd.grad(loss(found).sum(), found)[0], torch.zeros_like(start), atol=1e-6, rtol=0
+    )
+    last = loss(start)
+    for steps in range(1, 12):
+        now = loss(settled(start, place, weight, spread, steps))
+        assert (now <= last + 1e-12).all(), "no step goes uphill"
+        last = now
+
+
+def test_settling_moves_scales_and_flips_with_the_votes():
+    start, place, weight, spread = votes_around(7)
+    found = settled(start, place, weight, spread, 6)
+    moved = settled(-3 * start + 5, -3 * place + 5, 7 * weight, 3 * spread, 6)
+    torch.testing.assert_close(moved, -3 * found + 5)
+    assert torch.equal(settled(start, place, weight, spread, 0), start)
+
+
+def test_finer_votes_settle_the_place_and_another_peak_does_not():
+    """Two fine votes at 0, four rough ones around 0.3, and a crowd at 50."""
+    place = torch.tensor([[0.0, 0.0, 0.2, 0.3, 0.3, 0.4, *[50.0] * 6]]).double()
+    spread = torch.tensor([[0.02, 0.02, 0.5, 0.5, 0.5, 0.5, *[0.5] * 6]]).double()
+    found = settled(torch.tensor([0.3]).double(), place, torch.ones(1, 12).double(), spread, 50)
+    assert abs(float(found)) < 0.01

@@ -63,7 +63,6 @@ def soft_labels(distance: Float[Tensor, "lines k"], radius: Float[Tensor, " line
 def losses(
     sample: Sample,
     judgement: Judgement,
-    log_spread: Float[Tensor, " votes"],
     probe: Float[Tensor, " lines"],
     config: LearnedConfig,
 ) -> Losses:
@@ -75,7 +74,7 @@ def losses(
         size = error.clamp(LEAST_ERROR, MOST_ERROR).log()
     return Losses(
         affinity=affinity_loss(judgement, sample),
-        position=position_loss(judgement, sample, log_spread),
+        position=position_loss(judgement, sample),
         sure=functional.binary_cross_entropy_with_logits(judgement.sure, inside),
         probe=0.1 * functional.smooth_l1_loss(probe, size),
         moved=moved,
@@ -92,12 +91,10 @@ def affinity_loss(judgement: Judgement, sample: Sample) -> Float[Tensor, ""]:
     return (entropy * valid).sum() / valid.sum().clamp_min(1)
 
 
-def position_loss(judgement: Judgement, sample: Sample, log_spread: Float[Tensor, " votes"]) -> Float[Tensor, ""]:
+def position_loss(judgement: Judgement, sample: Sample) -> Float[Tensor, ""]:
     """Minus the logarithm of the mixture of all votes at the true place, over a floor of outliers."""
-    near = sample.edges
-    width = near.width.masked_fill(~near.valid, 1.0)[..., None] * log_spread.exp()
-    apart = (judgement.place - sample.true_beta[:, None, None]) / width
-    density = -torch.log1p(apart.square()) - (width / sample.spacing[:, None, None]).log()
+    apart = (judgement.place - sample.true_beta[:, None, None]) / judgement.spread
+    density = -torch.log1p(apart.square()) - (judgement.spread / sample.spacing[:, None, None]).log()
     share = functional.log_softmax(judgement.vote.flatten(1), dim=1)
     mixture = torch.logsumexp(share + density.flatten(1), dim=1)
     return -torch.logaddexp(mixture, torch.full_like(mixture, BACKGROUND)).mean()

@@ -115,7 +115,7 @@ class NetworkModule(lightning.LightningModule):
         sample = sample.to(self.device)
         judgement = self.network(sample.edges)
         probe = self.probe(judgement.state).squeeze(1)
-        found = losses(sample, judgement, self.network.log_spread, probe, self.config)
+        found = losses(sample, judgement, probe, self.config)
         self.pool.keep(rows, found.moved.cpu(), Judgement(*(part.cpu() for part in judgement)))
         figures = {name: value for name, value in found._asdict().items() if name not in ("moved", "error")}
         figures |= {"median": found.error.median(), "within": (found.error <= 1).float().mean()}
