@@ -36,6 +36,7 @@ RUNS: tuple[tuple[str, list[object]], ...] = (
     ("heuristic, `--threads 1`", ["--method", "heuristic", "--rounds", ROUNDS, "--threads", 1]),
     ("heuristic, as it comes", ["--method", "heuristic", "--rounds", ROUNDS]),
     ("learned, `--rounds 1`", ["--method", "learned", "--rounds", 1]),
+    ("learned, `--rounds 2`", ["--method", "learned", "--rounds", 2]),
     ("learned", ["--method", "learned"]),
 )
 

@@ -234,9 +234,9 @@ class Learned:
             return Estimate(nodes.beta[own], nodes.confidence[own], candidates, affinity)
         for number in range(done + 1, self.config.rounds):
             found = judge_round(lines, nodes, posterior, network, self.config, progress, shards)
-            told = relaxed(nodes, found.told, self.config)
-            rounds.keep(number, told._asdict())
-            nodes = surroundings(lines, told, shards)
+            ahead = relaxed(nodes, found.told, self.config)
+            rounds.keep(number, ahead._asdict())
+            nodes = surroundings(lines, ahead, shards)
         found = judge_round(lines, nodes, posterior, network, self.config, progress, shards)
         return Estimate(found.told.beta[own], self.confidence(found), found.candidates, found.affinity)
 

@@ -1,15 +1,16 @@
-"""What each round of the learned attack finds, by how much farther its estimates are moved between the rounds.
+"""What each round of the learned attack finds, by how far estimates are moved between rounds, and how votes settle.
 
-    python benchmarks/relaxation.py ../shared/scenes/train/bust_bronze.npz
+    python benchmarks/rounds.py ../shared/scenes/train/bust_bronze.npz
 
-Judges line clouds of all points, up to a number of lines, and of a tenth of these, with the shipped checkpoint. Prints
-for each relaxation the geometric mean of the median errors after each round, in spacings of the clouds' own points, and
-the mean share within 1 of them.
+Judges line clouds of all points, up to a number of lines, and of a tenth of these, with one checkpoint. Prints for each
+relaxation and number of settling steps (:class:`l2p.learned.LearnedConfig`) the geometric mean of the median errors
+after each round, in spacings of the clouds' own points, and the mean share within 1 of them.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -30,12 +31,11 @@ def clouds(scenes: list[str], lines: int) -> list[Cloud]:
 
 
 def main() -> None:
-    """Print one row a relaxation, as it comes."""
+    """Print one row a choice, as it comes."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", default=list(SIMULATED), help="scenes, or sim:KIND:POINTS:SEED (default)")
-    parser.add_argument(
-        "--relaxation", type=float, nargs="+", default=[1.0, 1.2, 1.4, 1.6], help="(default: %(default)s)"
-    )
+    parser.add_argument("--relaxation", type=float, nargs="+", default=[1.0, 1.4], help="(default: %(default)s)")
+    parser.add_argument("--settling", type=int, nargs="+", default=[0, 6], help="(default: %(default)s)")
     parser.add_argument("--rounds", type=int, default=4, help="(default: %(default)s)")
     parser.add_argument("--lines", type=int, default=8000, help="of a cloud at most (default: %(default)s)")
     parser.add_argument("--checkpoint", default=shipped(), help="(default: the shipped one)")
@@ -43,14 +43,14 @@ def main() -> None:
     torch.set_num_threads(1)
     attack = load(given.checkpoint)
     known = clouds(given.scenes, given.lines)
-    print("| relaxation | median error after each round | within 1 |\n| ---: | --- | --- |")
-    for relaxation in given.relaxation:
-        config = replace(attack.config, rounds=given.rounds, relaxation=relaxation)
+    print("| relaxation | settling | median error after each round | within 1 |\n| ---: | ---: | --- | --- |")
+    for relaxation, settling in itertools.product(given.relaxation, given.settling):
+        config = replace(attack.config, rounds=given.rounds, relaxation=relaxation, settling=settling)
         errors = [errors_by_round(cloud, attack.network, config) for cloud in known]
         median = np.exp(np.mean([[float(part.median().log()) for part in cloud] for cloud in errors], axis=0))
         within = np.mean([[float((part <= 1).float().mean()) for part in cloud] for cloud in errors], axis=0)
         row = ", ".join(f"{number:.4f}" for number in median), ", ".join(f"{number:.1%}" for number in within)
-        print(f"| {relaxation:g} | {' | '.join(row)} |", flush=True)
+        print(f"| {relaxation:g} | {settling} | {' | '.join(row)} |", flush=True)
 
 
 if __name__ == "__main__":
