@@ -212,7 +212,7 @@ def test_gradients_are_finite_and_reach_everything(network: LineTransformer, edg
     answer = network.train()(edges)
     there = edges.valid
     parts = (answer.affinity[there], answer.spread[there], answer.vote[there], answer.sure, answer.state)
-    sum(part.sum() for part in parts).backward()
+    torch.stack([part.sum() for part in parts]).sum().backward()
     for name, part in network.named_parameters():
         assert part.grad is not None and part.grad.isfinite().all(), name
 
