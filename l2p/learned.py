@@ -1,8 +1,8 @@
 """The learned attack: tomography first, then rounds of candidates, affinities and weighted peaks.
 
 Each round looks at the lines' candidates around the estimates of the round before, lets the network judge them
-(:mod:`l2p.network`), and takes the peak of their votes, each with its weight. All rounds share one network: it was
-trained on the estimates of all of them.
+(:mod:`l2p.network`), and takes the place where their votes settle around their peak, each with its weight. All rounds
+share one network: it was trained on the estimates of all of them.
 """
 
 from __future__ import annotations
@@ -159,10 +159,11 @@ def told(sure: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:
     return torch.sigmoid(sure[:, _TOLD])
 
 
-def relaxed(nodes: Nodes, told: Told, config: LearnedConfig) -> Told:
+def relaxed(nodes: Nodes, found: Told, config: LearnedConfig) -> Told:
     """What a round found, its estimates moved farther than it moved those of ``nodes``, for the next round."""
-    moved = told.beta - nodes.beta
-    return told._replace(beta=torch.where(moved.abs() < nodes.scale, nodes.beta + config.relaxation * moved, told.beta))
+    moved = found.beta - nodes.beta
+    ahead = nodes.beta + config.relaxation * moved
+    return found._replace(beta=torch.where(moved.abs() < nodes.scale, ahead, found.beta))
 
 
 def weighted_peak(judgement: Judgement, config: LearnedConfig) -> Float[Tensor, " lines"]:

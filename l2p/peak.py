@@ -138,9 +138,10 @@ def settled(
     steps : int
         Reweightings.
     """
+    variance = spread.square()
     for _ in range(steps):
         away = place - beta[:, None]
-        pull = weight / (spread.square() + away.square())
+        pull = weight / (variance + away.square())
         beta = beta + torch.linalg.vecdot(pull, away) / pull.sum(dim=1)
     return beta
 

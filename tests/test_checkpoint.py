@@ -111,7 +111,9 @@ def test_a_foreign_file_is_refused(file: Path, metadata: dict[str, str] | None) 
         checkpoint.load(file)
 
 
-@pytest.mark.parametrize(("format", "mend"), [(2, "train or download it again"), (4, "update l2p")])
+@pytest.mark.parametrize(
+    ("format", "mend"), [(1, "train or download it again"), (2, "train or download it again"), (4, "update l2p")]
+)
 def test_another_format_is_refused(file: Path, format: int, mend: str) -> None:
     save_file(load_file(file), file, {**header(file), "l2p_format": str(format)})
     with pytest.raises(InputError, match=f"has format {format}, this version of l2p reads format 3; {mend}"):
