@@ -49,12 +49,12 @@ $(BIN)/python:
 	  { echo "$(PYTHON) cannot make virtual environments; on Debian: apt-get install python3-venv" >&2; exit 2; }
 	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); exit 1; }
 
-$(INSTALLED): pyproject.toml constraints.txt l2p/__init__.py | $(BIN)/python
+$(INSTALLED): pyproject.toml constraints.txt l2p/version.py | $(BIN)/python
 	@echo "Installing l2p and what it needs into $(VENV); the first time takes a few minutes." >&2
 	@$(PIP_INSTALL) -e .
 	@touch $@
 
-$(INSTALLED_DEV): pyproject.toml constraints.txt l2p/__init__.py | $(BIN)/python
+$(INSTALLED_DEV): pyproject.toml constraints.txt l2p/version.py | $(BIN)/python
 	@echo "Installing l2p and its tools into $(VENV); the first time takes a few minutes." >&2
 	@$(PIP_INSTALL) -e '.[dev]'
 	@touch $(INSTALLED) $@

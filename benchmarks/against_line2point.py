@@ -25,7 +25,7 @@ import numpy as np
 
 import l2p
 from l2p.io.scene_files import save_scene_ply
-from l2p.metrics import spacing
+from l2p.judging.accuracy import spacing
 
 PROGRAM = "Recover.py"
 #: What the program prints when its points are loaded and its attack begins.
@@ -55,7 +55,7 @@ def load(name: str, count: int) -> l2p.Scene:
     """``count`` points of a simulated scene (sim:KIND) or of a file."""
     if name.startswith("sim:"):
         return l2p.simulate(name.removeprefix("sim:"), points=count, seed=0)
-    scene = l2p.Scene.load(name)
+    scene = l2p.load(name, l2p.Scene)
     if len(scene) < count:
         raise l2p.InputError(f"got {len(scene)} points in {name}; expected at least --lines {count}")
     return l2p.Scene(scene.xyz[np.random.default_rng(0).choice(len(scene), count, replace=False)])
@@ -102,7 +102,7 @@ def run_l2p(cloud: Path, name: str, words: list[object]) -> Row:
     cpu_began = _children_cpu()
     _command("recover", lines, "-o", out, *words, "--json", stats, "--force")
     cpu = _children_cpu() - cpu_began
-    scores = l2p.evaluate(l2p.Recovery.load(out), l2p.Truth.load(truth).xyz)
+    scores = l2p.evaluate(l2p.load(out, l2p.Recovery), l2p.load(truth, l2p.Truth).xyz)
     return Row(f"l2p {name}", json.loads(stats.read_text())["seconds"], cpu, scores.median)
 
 

@@ -19,12 +19,12 @@ import time
 import torch
 
 import l2p
-from l2p.checkpoint import load, shipped
-from l2p.features import edges
-from l2p.frame import Frame
-from l2p.learned import find_candidates, first_nodes, weighted_peak
-from l2p.threads import over_blocks
-from l2p.tomography import reconstruct
+from l2p.attacks.learned.checkpoint import load, shipped
+from l2p.attacks.learned.features import edges
+from l2p.attacks.learned.learned import find_candidates, first_nodes, weighted_peak
+from l2p.attacks.tomography.reconstruct import reconstruct
+from l2p.geometry.frame import Frame
+from l2p.work.threads import over_blocks
 
 #: Ways to run a round: title, threads of torch, and whether blocks run side by side.
 WAYS = {"one thread": (1, True), "torch's threads": (0, False), "blocks side by side": (0, True)}

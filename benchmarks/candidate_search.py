@@ -19,12 +19,12 @@ import numpy as np
 import torch
 
 import l2p
-from l2p import search
-from l2p.features import nearest_estimates
-from l2p.frame import Frame
-from l2p.geometry import Lines
-from l2p.lifting import lift_indexed
-from l2p.search import TILE, Nearest, nearest_points_to_lines
+from l2p.attacks.learned.features import nearest_estimates
+from l2p.geometry import nearest as search
+from l2p.geometry.elements import Lines
+from l2p.geometry.frame import Frame
+from l2p.geometry.nearest import TILE, Nearest, nearest_points_to_lines
+from l2p.schemes.uniform import lift_indexed
 
 
 def estimates(kind: str, count: int, strays: float) -> tuple[Lines, torch.Tensor, torch.Tensor]:

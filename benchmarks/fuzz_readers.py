@@ -49,12 +49,14 @@ import torch
 from accidents import damaged
 from line_coverage import Steps
 
-from l2p import checkpoint, exhibit, tables
+from l2p.attacks.learned import checkpoint
 from l2p.errors import InputError
 from l2p.io import colmap, kinds, line_files, npz, ply, recovery_files, scene_files, text_lines
-from l2p.lifting import lift
-from l2p.recovery import Recovery
-from l2p.scene import Scene, Truth
+from l2p.maps.recovery import Recovery
+from l2p.maps.scene import Scene
+from l2p.maps.truth import Truth
+from l2p.schemes.uniform import lift
+from l2p.show import exhibit, tables
 
 #: Every way in; each is tried on every file.
 READERS: tuple[Callable[[Path], Any], ...] = (
@@ -161,8 +163,8 @@ def _write_points(root: Path) -> None:
 
 
 def _write_checkpoint(root: Path) -> None:
-    from l2p.learned import LearnedConfig
-    from l2p.network import RADII, LineTransformer, NetworkConfig
+    from l2p.attacks.learned.learned import LearnedConfig
+    from l2p.attacks.learned.network import RADII, LineTransformer, NetworkConfig
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)

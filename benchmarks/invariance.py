@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 import l2p
-from l2p.lifting import lift_indexed
-from l2p.lines import LineCloud
-from l2p.methods import METHODS
-from l2p.metrics import errors, spacing
-from l2p.progress import terminal_progress
+from l2p.attacks.settings import METHODS
+from l2p.judging.accuracy import errors, spacing
+from l2p.maps.lines import LineCloud
+from l2p.schemes.uniform import lift_indexed
+from l2p.work.progress import terminal_progress
 
 
 class Change(NamedTuple):
@@ -87,7 +87,7 @@ def main() -> None:
     print("| scene | change | within 0.1 spacing | of the confident half | median, ratio | within 1, ratio |")
     print("| --- | --- | ---: | ---: | ---: | ---: |")
     for name in given.scenes:
-        scene = l2p.Scene.load(name)
+        scene = l2p.load(name, l2p.Scene)
         lines, index = lift_indexed(scene.xyz, 0, 1.0)
         unit, truth = spacing(scene.xyz), scene.xyz[index]
         first = l2p.recover(lines, method=given.method, progress=terminal_progress())

@@ -33,7 +33,7 @@ import numpy as np
 import torch
 
 import l2p
-from l2p import checkpoint
+from l2p.attacks.learned import checkpoint
 from l2p.io.atomic import atomic_file
 from l2p.io.recovery_files import load_recovery
 
@@ -261,7 +261,7 @@ def main() -> int:
         xyz = l2p.simulate("room", points=400, seed=given.seed).xyz
         with atomic_file(inputs / "scene.npz") as file:
             np.savez(file, xyz=xyz)
-        l2p.lift(xyz, seed=given.seed).save(inputs / "lines.npz")
+        l2p.save(l2p.lift(xyz, seed=given.seed), inputs / "lines.npz")
         chosen = [
             program
             for program in programs(inputs)

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 import l2p
-from l2p.attack import named_method, run
-from l2p.lifting import lift_indexed
-from l2p.metrics import evaluate, spacing
+from l2p.attacks.run import named_method, run
+from l2p.judging.accuracy import evaluate, spacing
+from l2p.schemes.uniform import lift_indexed
 
 
 def measured(lines: int, given: argparse.Namespace) -> str:

@@ -19,29 +19,29 @@ import tempfile
 from pathlib import Path
 
 import l2p
-from l2p.memory import BASE, GIB, SMALLEST
-from l2p.methods import METHODS
+from l2p.attacks.settings import METHODS
+from l2p.work.memory import BASE, GIB, SMALLEST
 
 CHILD = """
 import json, resource, sys
-import torch, scipy.spatial, l2p, l2p.attack
+import torch, scipy.spatial, l2p, l2p.attacks.run
 path, method, memory, rounds, threads, limit = json.loads(sys.argv[1])
 def status(name):
     with open("/proc/self/status") as file:
         return next(int(line.split()[1]) << 10 for line in file if line.startswith(name + ":"))
 if threads:
     torch.set_num_threads(threads)
-attack = l2p.attack.named_method(method, rounds=rounds)
+attack = l2p.attacks.run.named_method(method, rounds=rounds)
 lines = l2p.LineCloud.load(path)
 if memory == "least":
-    memory = (l2p.memory.BASE + l2p.memory.SMALLEST + len(lines) * attack.line_bytes + 1) / 2**30
+    memory = (l2p.work.memory.BASE + l2p.work.memory.SMALLEST + len(lines) * attack.line_bytes + 1) / 2**30
 if limit:
     size = status("VmSize") + int(limit * 2**30)
     resource.setrlimit(resource.RLIMIT_AS, (size, size))
 with open("/proc/self/clear_refs", "w") as file:
     file.write("5")
 before = status("VmRSS")
-result = l2p.attack.run(lines, attack, memory=memory)
+result = l2p.attacks.run.run(lines, attack, memory=memory)
 taken = status("VmHWM") - before
 print(json.dumps({"taken": taken, "lines": len(lines), "line_bytes": attack.line_bytes, "memory": memory,
                   "seconds": result.info["seconds"], "threads": torch.get_num_threads()}))
@@ -96,7 +96,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as place:
         for count in given.lines:
             path = Path(place) / f"{count}.npz"
-            l2p.lift(l2p.simulate(given.kind, points=count, seed=0).xyz, seed=0).save(path)
+            l2p.save(l2p.lift(l2p.simulate(given.kind, points=count, seed=0).xyz, seed=0), path)
             for method in given.methods:
                 for memory in allowed:
                     shown, within = row(method, measure(path, method, memory, given))

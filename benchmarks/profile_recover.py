@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 import l2p
-from l2p.methods import METHODS
+from l2p.attacks.settings import METHODS
 
 CHILD = """
 import collections, contextlib, json, sys, time
@@ -62,7 +62,7 @@ def measure(count: int, given: argparse.Namespace) -> dict:
     """Seconds of the stages and GiB at the peak of one run."""
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "lines.npz"
-        l2p.lift(l2p.simulate(given.kind, points=count, seed=0).xyz, seed=0).save(path)
+        l2p.save(l2p.lift(l2p.simulate(given.kind, points=count, seed=0).xyz, seed=0), path)
         words = [str(path), given.method, str(given.threads), json.dumps(given.memory)]
         command = [sys.executable, "-c", CHILD, str(time.time()), *words]
         return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)

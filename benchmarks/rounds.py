@@ -3,8 +3,8 @@
     python benchmarks/rounds.py ../shared/scenes/train/bust_bronze.npz
 
 Judges line clouds of all points, up to a number of lines, and of a tenth of these, with one checkpoint. Prints for each
-relaxation and number of settling steps (:class:`l2p.learned.LearnedConfig`) the geometric mean of the median errors
-after each round, in spacings of the clouds' own points, and the mean share within 1 of them.
+relaxation and number of settling steps (:class:`l2p.attacks.learned.learned.LearnedConfig`) the geometric mean of the
+median errors after each round, in spacings of the clouds' own points, and the mean share within 1 of them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from l2p.checkpoint import load, shipped
+from l2p.attacks.learned.checkpoint import load, shipped
 from train.clouds import Cloud, CloudSource, lifted, read
 from train.judging import errors_by_round
 

@@ -15,9 +15,9 @@ import subprocess
 import sys
 
 import l2p
-from l2p.lifting import lift_indexed
-from l2p.methods import METHODS
-from l2p.metrics import evaluate, spacing
+from l2p.attacks.settings import METHODS
+from l2p.judging.accuracy import evaluate, spacing
+from l2p.schemes.uniform import lift_indexed
 
 
 def peak_gib() -> float:

@@ -28,7 +28,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import l2p
-from l2p.methods import METHODS
+from l2p.attacks.settings import METHODS
 
 
 def peak_mib() -> float:
@@ -48,10 +48,10 @@ def work(given: argparse.Namespace) -> None:
     import torch
 
     before = peak_mib()
-    from l2p import tomography
-    from l2p.attack import assist, named_method, run
-    from l2p.processes import joined
-    from l2p.rounds import Rounds
+    from l2p.attacks.run import assist, named_method, run
+    from l2p.attacks.tomography import reconstruct as tomography
+    from l2p.work.journal import Rounds
+    from l2p.work.processes import joined
 
     torch.set_num_threads(1)
     took: Counter[str] = Counter()
@@ -76,7 +76,7 @@ def work(given: argparse.Namespace) -> None:
 
         method = named_method(given.method)
         if shards.rank == 0:
-            cloud = l2p.LineCloud.load(Path(given.folder) / "lines.npz")
+            cloud = l2p.load(Path(given.folder) / "lines.npz", l2p.LineCloud)
             wire = loopback_bytes()
             run(cloud, method, device=device, progress=Clock(), rounds=Rounds(shards))
             took["wire"] = loopback_bytes() - wire
@@ -121,7 +121,7 @@ def main() -> None:
     for count in given.lines:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "lines.npz"
-            l2p.lift(l2p.simulate(given.kind, points=count, seed=0).xyz, seed=0).save(path)
+            l2p.save(l2p.lift(l2p.simulate(given.kind, points=count, seed=0).xyz, seed=0), path)
             for processes in given.processes:
                 print(row(count, measured(path, processes, given)), flush=True)
 

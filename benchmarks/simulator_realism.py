@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 import l2p
-from l2p.metrics import evaluate, spacing
+from l2p.judging.accuracy import evaluate, spacing
 from l2p.simulator import KINDS
 
 TEXT = """# The simulator, and how real it is
@@ -137,9 +137,9 @@ def geometry(points: Float[np.ndarray, "points 3"]) -> dict[str, float]:
 
 def attack(points: Float[np.ndarray, "points 3"]) -> dict[str, float]:
     """Median error in spacings and share within one spacing of the heuristic, oracle(50) and the LOO bound."""
-    from l2p.attack import run
-    from l2p.neighborhoods import Heuristic
-    from l2p.oracles import LeaveOneOut, Oracle
+    from l2p.attacks.heuristic import Heuristic
+    from l2p.attacks.run import run
+    from l2p.judging.references import LeaveOneOut, Oracle
 
     lines, index = l2p.lift_indexed(points, seed=0)
     truth = points[index]

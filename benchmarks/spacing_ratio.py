@@ -4,7 +4,7 @@
 
 A spacing is the median distance to the 50th neighbour. Prints, for each share, the mean and the standard deviation over
 the scenes of the logarithm of (spacing of the map / spacing of the share), the dimension that follows from each
-(:func:`l2p.learned.spacing_ratio`), and the mean and deviation of (what l2p says / what holds).
+(:func:`l2p.attacks.learned.learned.spacing_ratio`), and the mean and deviation of (what l2p says / what holds).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import argparse
 import numpy as np
 
 import l2p
-from eval.scenes import scenes_of
-from l2p.learned import spacing_ratio
-from l2p.metrics import spacing
+from l2p.attacks.learned.learned import spacing_ratio
+from l2p.judging.accuracy import spacing
+from l2p.programs.scenes import scenes_of
 
 SHARES = (0.5, 0.25, 0.1, 0.05)
 #: Scenes larger than this take too long, and shares smaller than this have no 50 neighbours.
@@ -30,7 +30,7 @@ def main() -> None:
     given = parser.parse_args()
     logs: dict[float, list[float]] = {share: [] for share in SHARES}
     for scene in scenes_of(tuple(given.scenes), {}):
-        points = l2p.Scene.load(scene.source).xyz
+        points = l2p.load(scene.source, l2p.Scene).xyz
         if len(points) > MOST:
             continue
         order, whole = np.random.default_rng(0).permutation(len(points)), spacing(points)

@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 
 import l2p
-from l2p import tomography
-from l2p.frame import Frame
-from l2p.sharding import Shards
-from l2p.tomography import TomographyConfig
+from l2p.attacks.tomography import reconstruct as tomography
+from l2p.attacks.tomography.reconstruct import TomographyConfig
+from l2p.geometry.frame import Frame
+from l2p.work.shards import Shards
 
 
 def level_of(lines: int, kind: str, levels: int) -> tuple[tomography._Level, Tensor]:

@@ -21,16 +21,18 @@ from jaxtyping import Float, Int
 from matplotlib.collections import LineCollection
 
 import l2p
-from l2p.attack import run
-from l2p.frame import Frame
-from l2p.geometry import Lines, closest_points
-from l2p.metrics import errors, risk_coverage, spacing
-from l2p.neighborhoods import Heuristic, Tomography
-from l2p.oracles import CandidateOracle, LeaveOneOut, Oracle
-from l2p.peak import PeakConfig, find_peak
-from l2p.pictures import Box
-from l2p.search import nearest_lines_to_lines, nearest_lines_to_points, nearest_points_to_lines
-from l2p.tomography import reconstruct
+from l2p.attacks.heuristic import Heuristic
+from l2p.attacks.peak import PeakConfig, find_peak
+from l2p.attacks.run import run
+from l2p.attacks.tomographic import Tomography
+from l2p.attacks.tomography.reconstruct import reconstruct
+from l2p.geometry.elements import Lines
+from l2p.geometry.frame import Frame
+from l2p.geometry.nearest import nearest_lines_to_lines, nearest_lines_to_points, nearest_points_to_lines
+from l2p.geometry.pairs import closest_points
+from l2p.judging.accuracy import errors, risk_coverage, spacing
+from l2p.judging.references import CandidateOracle, LeaveOneOut, Oracle
+from l2p.show.pictures import Box
 
 IMAGES = Path(__file__).parent / "images"
 POINTS, SEED = 5000, 3

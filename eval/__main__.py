@@ -10,9 +10,9 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from eval.config import CONFIGS, settings_of
-from eval.launch import explained, launch
-from eval.program import evaluate_all
+from eval.eval_config import CONFIGS, settings_of
+from eval.evaluation import evaluate_all
+from l2p.programs.launch import explained, launch
 
 
 @hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name="eval")

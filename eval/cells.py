@@ -17,15 +17,16 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from eval.config import Settings
-from eval.memory import measured_peak
-from eval.methods import Contender, Trial, identity_of
-from eval.provenance import commit, source_digest
-from eval.scenes import Loaded, SceneSource, load
+from eval.capacity import measured_peak
+from eval.contenders import Contender, Trial, identity_of
+from eval.eval_config import Settings
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
-from l2p.lifting import lift_indexed
-from l2p.recovery import Recovery
+from l2p.io.recovery_files import save_recovery
+from l2p.maps.recovery import Recovery
+from l2p.programs.commits import commit, source_digest
+from l2p.programs.scenes import Loaded, SceneSource, load
+from l2p.schemes.uniform import lift_indexed
 
 
 @dataclass(frozen=True)
@@ -180,7 +181,7 @@ def predict(cell: Cell, store: Store) -> None:
         "made": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
     write_json(store.record(cell), record)
-    _compact(recovery).save(store.prediction(cell), overwrite=True)
+    save_recovery(_compact(recovery), store.prediction(cell), overwrite=True)
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from eval.curves import SHARES, THRESHOLDS, pooled_reliability
-from eval.methods import PAPER_KIND
+from eval.contenders import PAPER_KIND
+from eval.mean_curves import SHARES, THRESHOLDS, pooled_reliability
+from eval.result_tables import MEDIAN, SHARE, Column, distinct, pool_seed
 from eval.scoring import Row
-from eval.tables import MEDIAN, SHARE, Column, distinct, pool_seed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eval.cells import Cell, Store, read_json, truth_of, write_json
-from eval.curves import SHARES, THRESHOLDS, curves_of, found_neighbors
-from eval.provenance import source_digest
+from eval.mean_curves import SHARES, THRESHOLDS, curves_of, found_neighbors
 from l2p.io.atomic import atomic_file
-from l2p.metrics import errors, evaluate, neighbor_scores
-from l2p.recovery import Recovery
+from l2p.io.recovery_files import load_recovery
+from l2p.judging.accuracy import errors, evaluate, neighbor_scores
+from l2p.maps.recovery import Recovery
+from l2p.programs.commits import source_digest
 
 #: Increase when a row gets other figures, so that old rows are scored again.
 ROW_VERSION = 2
@@ -62,7 +63,7 @@ def _stamp(cell: Cell, store: Store) -> str:
 
 
 def _row(cell: Cell, store: Store) -> Row:
-    recovery, record = Recovery.load(store.prediction(cell)), read_json(store.record(cell))
+    recovery, record = load_recovery(store.prediction(cell)), read_json(store.record(cell))
     scene, truth, _ = truth_of(cell)
     scores = evaluate(recovery, truth, scene.spacing)
     error = errors(recovery.xyz, truth) / scene.spacing

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from eval.curves import pooled_calibration_error
-from eval.methods import Contender, HeuristicContender, LeaveOneOutContender
+from eval.contenders import Contender, HeuristicContender, LeaveOneOutContender
+from eval.mean_curves import pooled_calibration_error
+from eval.result_tables import Column, Table, arithmetic_mean, decimals, distinct, geometric_mean, percent, pooled
 from eval.scoring import Row
-from eval.tables import Column, Table, arithmetic_mean, decimals, distinct, geometric_mean, percent, pooled
 
 #: Each ratio: its name, the figure, and the reference whose figure divides it.
 RATIOS = (

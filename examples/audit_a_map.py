@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 import l2p
-from l2p.metrics import errors, spacing
+from l2p.judging.accuracy import errors, spacing
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -32,17 +32,17 @@ def main() -> None:
     if arguments.map is None:
         scene = l2p.simulate("room", points=arguments.points, seed=0)
     else:
-        scene = l2p.Scene.load(arguments.map)
+        scene = l2p.load(arguments.map, l2p.Scene)
     unit = spacing(scene.xyz)
 
     # The line cloud: what would be published. `index` says which point is behind each line, and stays with the owner.
     lines, index = l2p.lift_indexed(scene.xyz, fraction=arguments.fraction)
     truth = scene.xyz[index]
-    lines.save(folder / "lines.npz", overwrite=True)
+    l2p.save(lines, folder / "lines.npz", overwrite=True)
 
     # The attack: what anybody can compute from the lines.
     recovery = l2p.recover(lines, method=arguments.method)
-    recovery.save(folder / "recovered.ply", overwrite=True)
+    l2p.save(recovery, folder / "recovered.ply", overwrite=True)
 
     # The verdict: by the owner, who knows the truth.
     scores = l2p.evaluate(recovery, truth, unit)

@@ -14,35 +14,41 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from l2p.attack import recover
-    from l2p.auditing import Audit, audit
+    from l2p.attacks.run import recover
+    from l2p.auditing.audit import Audit, audit
+    from l2p.auditing.report import save_report
     from l2p.errors import InputError
-    from l2p.lifting import lift, lift_indexed
-    from l2p.lines import LineCloud
-    from l2p.metrics import evaluate
-    from l2p.recovery import Recovery
-    from l2p.scene import Scene, Truth
+    from l2p.io.files import load, save
+    from l2p.judging.accuracy import evaluate
+    from l2p.maps.lines import LineCloud
+    from l2p.maps.recovery import Recovery
+    from l2p.maps.scene import Scene
+    from l2p.maps.truth import Truth
+    from l2p.schemes.uniform import lift, lift_indexed
     from l2p.simulator import simulate
-
-__version__ = "0.1.0"
+    from l2p.version import __version__
 
 # Public names are loaded on first use (PEP 562), so that `import l2p` and `l2p --help` do not wait for torch.
 _HOME = {
-    "Audit": "l2p.auditing",
+    "Audit": "l2p.auditing.audit",
     "InputError": "l2p.errors",
-    "LineCloud": "l2p.lines",
-    "Recovery": "l2p.recovery",
-    "Scene": "l2p.scene",
-    "Truth": "l2p.scene",
-    "audit": "l2p.auditing",
-    "evaluate": "l2p.metrics",
-    "lift": "l2p.lifting",
-    "lift_indexed": "l2p.lifting",
-    "recover": "l2p.attack",
+    "LineCloud": "l2p.maps.lines",
+    "Recovery": "l2p.maps.recovery",
+    "Scene": "l2p.maps.scene",
+    "Truth": "l2p.maps.truth",
+    "__version__": "l2p.version",
+    "audit": "l2p.auditing.audit",
+    "evaluate": "l2p.judging.accuracy",
+    "lift": "l2p.schemes.uniform",
+    "lift_indexed": "l2p.schemes.uniform",
+    "load": "l2p.io.files",
+    "recover": "l2p.attacks.run",
+    "save": "l2p.io.files",
+    "save_report": "l2p.auditing.report",
     "simulate": "l2p.simulator",
 }
 
-__all__ = sorted(_HOME)
+__all__ = sorted(name for name in _HOME if name != "__version__")
 
 
 def __getattr__(name: str) -> Any:

@@ -2,7 +2,7 @@
 
 import sys
 
-from l2p.cli import main
+from l2p.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -30,9 +30,9 @@ def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The file of a checkpoint with random weights and two rounds, and with facts as the training writes them."""
     import torch
 
-    from l2p.checkpoint import Checkpoint, save
-    from l2p.learned import LearnedConfig
-    from l2p.network import RADII, LineTransformer, NetworkConfig
+    from l2p.attacks.learned.checkpoint import Checkpoint, save
+    from l2p.attacks.learned.learned import LearnedConfig
+    from l2p.attacks.learned.network import RADII, LineTransformer, NetworkConfig
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)

@@ -9,8 +9,8 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from eval.launch import explained, launch
-from train.config import CONFIGS, settings_of
+from l2p.programs.launch import explained, launch
+from train.train_config import CONFIGS, settings_of
 
 
 @hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name="train")
@@ -22,7 +22,7 @@ def main(config: DictConfig) -> None:
         # Lightning takes seconds to load; a wrong config is told at once.
         from lightning.pytorch.utilities import rank_zero_only
 
-        from train.program import train_all
+        from train.training import train_all
 
         model = train_all(settings, Path(HydraConfig.get().runtime.output_dir), command)
     if rank_zero_only.rank == 0:

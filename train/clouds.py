@@ -10,16 +10,18 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.features import Nodes, edges
-from l2p.frame import Frame
-from l2p.geometry import Lines
-from l2p.learned import first_nodes
-from l2p.lifting import lift_indexed
-from l2p.metrics import spacing
-from l2p.point_neighbors import nearest_neighbors
-from l2p.scene import Scene
+from l2p.attacks.learned.features import Nodes, edges
+from l2p.attacks.learned.learned import first_nodes
+from l2p.attacks.tomography.posterior import Posterior
+from l2p.attacks.tomography.reconstruct import reconstruct
+from l2p.geometry.elements import Lines
+from l2p.geometry.frame import Frame
+from l2p.geometry.points import nearest_neighbors
+from l2p.io.scene_files import load_scene
+from l2p.judging.accuracy import spacing
+from l2p.maps.scene import Scene
+from l2p.schemes.uniform import lift_indexed
 from l2p.simulator import simulate
-from l2p.tomography import Posterior, reconstruct
 from train.losses import Sample, soft_labels
 
 #: True neighbours of a point that set the local radius of a true neighbour.
@@ -100,4 +102,4 @@ def read(scene: str) -> Scene:
     if scene.startswith("sim:"):
         kind, points, seed = scene.split(":")[1:]
         return simulate(kind, int(points), int(seed))
-    return Scene.load(scene)
+    return load_scene(scene)

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from l2p.features import Edges
-from l2p.learned import LearnedConfig, weighted_peak
-from l2p.network import RADII, Judgement
+from l2p.attacks.learned.features import Edges
+from l2p.attacks.learned.learned import LearnedConfig, weighted_peak
+from l2p.attacks.learned.network import RADII, Judgement
 
 #: A candidate at this many local radii is as likely a true neighbour as not; labels fall over a fifth of that.
 BORDER, SOFTNESS = 1.25, 0.25

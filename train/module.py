@@ -17,15 +17,15 @@ from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from l2p.features import STATE
-from l2p.learned import LearnedConfig
-from l2p.network import Judgement, LineTransformer
+from l2p.attacks.learned.features import STATE
+from l2p.attacks.learned.learned import LearnedConfig
+from l2p.attacks.learned.network import Judgement, LineTransformer
 from train.clouds import CloudSource, lifted
-from train.config import FitSettings
 from train.judging import errors_by_round
 from train.losses import losses
 from train.pool import Pool
 from train.sources import Sources
+from train.train_config import FitSettings
 
 #: Share of the learning rate that is left at the end.
 _LAST_RATE = 0.02

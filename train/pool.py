@@ -16,9 +16,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.features import Edges, Nodes, Told, surroundings
-from l2p.learned import LearnedConfig, find_candidates, relaxed, told
-from l2p.network import RADII, Judgement
+from l2p.attacks.learned.features import Edges, Nodes, Told, surroundings
+from l2p.attacks.learned.learned import LearnedConfig, find_candidates, relaxed, told
+from l2p.attacks.learned.network import RADII, Judgement
 from train.clouds import Cloud, CloudSource, lifted
 from train.losses import Sample
 from train.sources import Sources

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.scenes import scenes_of
 from l2p.errors import InputError
-from l2p.metrics import spacing
+from l2p.judging.accuracy import spacing
+from l2p.programs.scenes import scenes_of
 from l2p.simulator import KINDS
 from train.clouds import CloudSource, read
-from train.config import DataSettings
+from train.train_config import DataSettings
 
 #: Simulated scenes are numbered from here on, away from the small seeds that people try.
 FIRST_SIMULATED = 10_000

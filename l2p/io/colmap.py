@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_folder, check_folder
-from l2p.scene import Scene
+from l2p.maps.scene import Scene
 
 _TABLES = ("cameras", "images", "points3D", "rigs", "frames")
 

@@ -15,7 +15,7 @@ from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb
 from l2p.io.text_lines import read_obj_segments, read_text_rows
-from l2p.lines import LineCloud
+from l2p.maps.lines import LineCloud
 
 #: Version of the npz line cloud that is written; older ones stay readable.
 LINE_VERSION = 1
@@ -79,10 +79,10 @@ def line_ending(path: str | PathLike[str]) -> str:
 def segments(cloud: LineCloud) -> tuple[Float[np.ndarray, "lines 3"], Float[np.ndarray, "lines 3"]]:
     """Both ends of the piece of each line that is drawn, in scene units.
 
-    Pieces are centred at the foot of the perpendicular from the centre of the lines (:class:`l2p.frame.Frame`) and
-    equally long, both computed from the lines alone, so they tell nothing that the lines do not.
+    Pieces are centred at the foot of the perpendicular from the centre of the lines (:class:`l2p.geometry.frame.Frame`)
+    and equally long, both computed from the lines alone, so they tell nothing that the lines do not.
     """
-    from l2p.frame import Frame
+    from l2p.geometry.frame import Frame
 
     frame = Frame.of(cloud)
     middle = cloud.origin + np.sum((frame.center - cloud.origin) * cloud.direction, axis=1)[:, None] * cloud.direction

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from l2p.checks import OUT_OF_RANGE, in_range
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.kinds import Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, point_records
-from l2p.lines import OUT_OF_RANGE, in_range
-from l2p.recovery import Recovery
+from l2p.maps.recovery import Recovery
 
 #: Version of the npz recovery that is written; older ones stay readable.
 RECOVERY_VERSION = 1

@@ -6,14 +6,15 @@ from os import PathLike
 
 import numpy as np
 
+from l2p.checks import OUT_OF_RANGE, in_range
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.colmap import read_model, scene_of_model
 from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb, point_records
-from l2p.lines import OUT_OF_RANGE, in_range
-from l2p.scene import Scene, Truth
+from l2p.maps.scene import Scene
+from l2p.maps.truth import Truth
 
 #: Version of the truth file that is written.
 TRUTH_VERSION = 1

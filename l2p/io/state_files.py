@@ -13,7 +13,7 @@ import numpy as np
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.npz import Fields, npz_bytes, npz_keys, read_npz
-from l2p.journal import Journal, Kept
+from l2p.work.journal import Journal, Kept
 
 #: Version of the file; it lives as long as a run, so no other is read.
 STATE_VERSION = 1

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from l2p.errors import InputError
-from l2p.scene import Scene
+from l2p.maps.scene import Scene
 from l2p.simulator.layouts import LAYOUTS
 from l2p.simulator.model import SimulatedModel
 from l2p.simulator.observe import Observer, Sightings

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from l2p.errors import InputError
-from l2p.scene import Scene
+from l2p.maps.scene import Scene
 from l2p.simulator.cameras import Cameras
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l2p.cli import main
+from l2p.cli.main import main
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file, atomic_folder, check_file, check_folder
 from l2p.io.recovery_files import load_recovery

@@ -17,9 +17,10 @@ from l2p.errors import InputError
 from l2p.io.line_files import load_lines, save_lines
 from l2p.io.recovery_files import load_recovery, save_recovery
 from l2p.io.scene_files import load_scene, load_truth, save_scene_ply, save_truth
-from l2p.lifting import lift
-from l2p.recovery import Recovery
-from l2p.scene import Scene, Truth
+from l2p.maps.recovery import Recovery
+from l2p.maps.scene import Scene
+from l2p.maps.truth import Truth
+from l2p.schemes.uniform import lift
 
 READERS: tuple[Callable[[Path], Any], ...] = (load_lines, load_scene, load_truth, load_recovery)
 POINTS = np.random.default_rng(0).normal(size=(5, 3))

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import l2p
 from l2p.errors import InputError
-from l2p.frame import Frame
+from l2p.geometry.frame import Frame
 from l2p.io.line_files import load_lines, save_lines, segments
-from l2p.lifting import lift_indexed
-from l2p.lines import LineCloud
+from l2p.maps.lines import LineCloud
+from l2p.schemes.uniform import lift_indexed
 
 
 def cloud_of(count: int = 20, seed: int = 0, colours: bool = False, offset: float = 0.0) -> LineCloud:
@@ -53,11 +54,11 @@ def changed(array: np.ndarray, row: int, value: object) -> np.ndarray:
 @pytest.mark.parametrize("colours", [False, True])
 def test_npz_keeps_the_lines(tmp_path, colours):
     cloud = cloud_of(colours=colours)
-    cloud.save(tmp_path / "lines.npz")
+    l2p.save(cloud, tmp_path / "lines.npz")
     with np.load(tmp_path / "lines.npz") as archive:
         np.testing.assert_array_equal(archive["direction"], cloud.direction, strict=True)
         np.testing.assert_array_equal(archive["moment"], cloud.moment, strict=True)
-    again = LineCloud.load(tmp_path / "lines.npz")
+    again = l2p.load(tmp_path / "lines.npz", LineCloud)
     # A line cloud normalises what it is given, which moves the last digit.
     np.testing.assert_array_equal(again.moment, cloud.moment)
     np.testing.assert_array_equal(again.direction, cloud.direction)
@@ -383,10 +384,10 @@ def test_a_ply_with_an_empty_list_is_read_without_a_word(tmp_path, recwarn):
 def test_an_existing_file_is_kept(tmp_path):
     (tmp_path / "lines.npz").write_bytes(b"precious")
     with pytest.raises(InputError, match=r"exists; choose another -o or add --force"):
-        cloud_of().save(tmp_path / "lines.npz")
+        l2p.save(cloud_of(), tmp_path / "lines.npz")
     assert (tmp_path / "lines.npz").read_bytes() == b"precious"
-    cloud_of().save(tmp_path / "lines.npz", overwrite=True)
-    assert len(LineCloud.load(tmp_path / "lines.npz")) == 20
+    l2p.save(cloud_of(), tmp_path / "lines.npz", overwrite=True)
+    assert len(l2p.load(tmp_path / "lines.npz", LineCloud)) == 20
 
 
 def test_nothing_but_arrays_is_in_the_file(tmp_path):

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from plyfile import PlyData
 
+import l2p
 from l2p.errors import InputError
 from l2p.io.recovery_files import confidence_colours, load_recovery, save_recovery
 from l2p.io.scene_files import load_scene
-from l2p.recovery import Recovery
+from l2p.maps.recovery import Recovery
 
 
 def recovery_of(count: int = 12, colours: bool = True) -> Recovery:
@@ -34,8 +35,8 @@ def bare(recovery: Recovery) -> Recovery:
 
 def test_npz_keeps_everything_but_the_clock(tmp_path):
     recovery = recovery_of()
-    recovery.save(tmp_path / "out.npz")
-    again = Recovery.load(tmp_path / "out.npz")
+    l2p.save(recovery, tmp_path / "out.npz")
+    again = l2p.load(tmp_path / "out.npz", Recovery)
     for name in ("xyz", "confidence", "beta", "rgb", "neighbors", "affinity", "kept"):
         np.testing.assert_array_equal(getattr(again, name), getattr(recovery, name), strict=True)
     assert again.info == {"method": "heuristic", "settings": {"rounds": 3}}
@@ -96,7 +97,7 @@ def test_colours_of_confidence_get_lighter():
 )
 def test_a_wrong_npz_is_named_and_explained(tmp_path, changes, message):
     recovery = recovery_of()
-    recovery.save(tmp_path / "bad.npz")
+    l2p.save(recovery, tmp_path / "bad.npz")
     with np.load(tmp_path / "bad.npz") as archive:
         arrays = dict(archive) | changes
     np.savez(tmp_path / "bad.npz", **arrays)  # type: ignore[arg-type]

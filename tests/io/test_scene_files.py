@@ -7,11 +7,13 @@ import warnings
 import numpy as np
 import pytest
 
+import l2p
 from l2p.errors import InputError
 from l2p.io.line_files import save_lines
 from l2p.io.scene_files import load_scene, load_truth, save_scene_ply, save_truth
-from l2p.lifting import lift
-from l2p.scene import Scene, Truth
+from l2p.maps.scene import Scene
+from l2p.maps.truth import Truth
+from l2p.schemes.uniform import lift
 
 
 def scene_of(count: int = 30) -> Scene:
@@ -43,7 +45,7 @@ def test_a_colmap_model_gives_all_that_pycolmap_knows(tmp_path, write_model, tex
 def test_ply_round_trip(tmp_path):
     scene = scene_of()
     save_scene_ply(scene, tmp_path / "scene.ply")
-    again = Scene.load(tmp_path / "scene.ply")
+    again = l2p.load(tmp_path / "scene.ply", Scene)
     np.testing.assert_array_equal(again.xyz, scene.xyz)
     np.testing.assert_array_equal(again.rgb, scene.rgb)
 
@@ -165,12 +167,12 @@ def test_truth_round_trip(tmp_path):
         "bare.npz": Truth(xyz, np.arange(30), 2.0),
     }.items():
         save_truth(truth, tmp_path / name)
-        again = Truth.load(tmp_path / name)
+        again = l2p.load(tmp_path / name, Truth)
         np.testing.assert_array_equal(again.xyz, truth.xyz)
         np.testing.assert_array_equal(again.index, truth.index)
         assert (again.spacing, again.seed) == (truth.spacing, truth.seed)
         assert (again.ids is None) == (truth.ids is None)
-    truth.save(tmp_path / "again.npz")
+    l2p.save(truth, tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "bare.npz").read_bytes()
 
 

@@ -1,0 +1,340 @@
+"""The methods that can be compared, by name: each a dataclass of its parameters that recovers a trial's points.
+
+To add one, write a dataclass with ``label`` and ``recover`` (or, for a peer of the heuristic, ``build``) and enter it
+in ``CONTENDERS``. A user's own needs no entry: ``{name: call, path: package.module:callable}``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from l2p.attacks.attack import Method
+from l2p.attacks.heuristic import Heuristic, HeuristicConfig
+from l2p.attacks.learned import checkpoint
+from l2p.attacks.run import run
+from l2p.attacks.tomographic import TomographicConfig, Tomography
+from l2p.checks import finite_rows
+from l2p.errors import InputError
+from l2p.io.kinds import Kind, kind_of
+from l2p.io.recovery_files import load_recovery
+from l2p.io.scene_files import load_scene
+from l2p.judging.references import CandidateOracle, LeaveOneOut, Oracle
+from l2p.maps.lines import LineCloud
+from l2p.maps.recovery import Recovery
+from l2p.programs.scenes import PAPER_KIND
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One line cloud to attack. Only references may look at ``truth``, (lines, 3) in the order of the lines."""
+
+    key: str
+    lines: LineCloud
+    truth: Float[np.ndarray, "lines 3"]
+    kind: str
+    fraction: float
+    seed: int
+    device: str
+
+
+@runtime_checkable
+class Contender(Protocol):
+    """A method with its parameters."""
+
+    #: Whether it is a reference that looks at the truth, and no attack.
+    knows_truth: ClassVar[bool]
+    #: Whether the time that ``recover`` takes is that of the method.
+    timed: ClassVar[bool]
+
+    @property
+    def label(self) -> str:
+        """What tables call it; unique in a run."""
+        ...
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether its confidence is meant as the probability of lying within 1 spacing, and not only to rank."""
+        ...
+
+    def files(self, cloud: str) -> dict[str, str]:
+        """Digests of the files that it reads for a line cloud of that name: a prediction depends on them, too."""
+        ...
+
+    def recover(self, trial: Trial) -> Recovery:
+        """Recover the points."""
+        ...
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A method that is built for a trial and run by ``l2p.recover.run``."""
+
+    label: str = ""
+    knows_truth: ClassVar[bool] = False
+    timed: ClassVar[bool] = True
+    calibrated: ClassVar[bool] = False
+
+    def build(self, trial: Trial) -> Method:
+        """The method for this trial."""
+        raise NotImplementedError
+
+    def files(self, cloud: str) -> dict[str, str]:
+        """None."""
+        return {}
+
+    def recover(self, trial: Trial) -> Recovery:
+        """Build, then run."""
+        return run(trial.lines, self.build(trial), device=trial.device, name=self.label)
+
+
+@dataclass(frozen=True)
+class LearnedContender(Peer):
+    """Tomography, then rounds of a trained network; it knows the density. ``checkpoint`` null: the shipped one."""
+
+    label: str = "learned"
+    checkpoint: str | None = None
+    rounds: int | None = None
+    calibrated: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        checkpoint.load(self.file, rounds=self.rounds)  # refused before any work
+
+    @property
+    def file(self) -> Path:
+        """The checkpoint."""
+        return checkpoint.shipped() if self.checkpoint is None else Path(self.checkpoint)
+
+    def build(self, trial: Trial) -> Method:
+        """The attack of the checkpoint; its confidence is about the spacing of the full cloud."""
+        return checkpoint.load(self.file, rounds=self.rounds, density=trial.fraction)
+
+    def files(self, cloud: str) -> dict[str, str]:
+        """The checkpoint's digest."""
+        return {"digest": checkpoint.digest(self.file)}
+
+
+@dataclass(frozen=True)
+class HeuristicContender(Peer):
+    """The paper's attack; it knows kind of scene and density, unless a ``density`` stands in for the true one."""
+
+    label: str = "heuristic"
+    rounds: int = HeuristicConfig.rounds
+    density: float | None = None
+
+    def build(self, trial: Trial) -> Method:
+        """The heuristic with the paper's counts for the scene's kind and the fraction."""
+        density = trial.fraction if self.density is None else self.density
+        return Heuristic(HeuristicConfig(PAPER_KIND[trial.kind], density, self.rounds))
+
+
+@dataclass(frozen=True)
+class TomographyContender(Peer):
+    """Expectation maximisation on a sparse grid, then the votes around its modes."""
+
+    label: str = "tomography"
+    rounds: int = TomographicConfig.rounds
+
+    def build(self, trial: Trial) -> Method:
+        """The method, the same for every trial."""
+        return Tomography(TomographicConfig(rounds=self.rounds))
+
+
+@dataclass(frozen=True)
+class OracleContender(Peer):
+    """True neighbours, a share of them replaced by random lines."""
+
+    label: str = ""
+    k: int = 50
+    outliers: float = 0.0
+    knows_truth: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        wrong = f", {self.outliers:.0%} outliers" if self.outliers else ""
+        _default_label(self, f"oracle {self.k}{wrong}")
+
+    def build(self, trial: Trial) -> Method:
+        """The oracle; its outliers follow from the seed of the lifting."""
+        return Oracle(trial.truth, self.k, self.outliers, trial.seed)
+
+
+@dataclass(frozen=True)
+class CandidateOracleContender(Peer):
+    """The true neighbours among the candidates of an attack, by default of the heuristic."""
+
+    label: str = ""
+    k: int = 50
+    candidates: int = 200
+    attack: dict[str, Any] = field(default_factory=lambda: {"name": "heuristic"})
+    knows_truth: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _default_label(self, f"candidate oracle {self.k}")
+
+    def build(self, trial: Trial) -> Method:
+        """The oracle on the candidates of the attack."""
+        return CandidateOracle(trial.truth, self._peer().build(trial), self.k, self.candidates)
+
+    def files(self, cloud: str) -> dict[str, str]:
+        """Those of the attack."""
+        return self._peer().files(cloud)
+
+    def _peer(self) -> Peer:
+        attack = contender_of(self.attack)
+        if not isinstance(attack, Peer):
+            raise InputError(f"got attack {self.attack}; expected a method of l2p, whose estimates give candidates")
+        return attack
+
+
+@dataclass(frozen=True)
+class LeaveOneOutContender(Peer):
+    """Every other point known."""
+
+    label: str = "LOO"
+    k: int = 128
+    knows_truth: ClassVar[bool] = True
+
+    def build(self, trial: Trial) -> Method:
+        """The bound for these points."""
+        return LeaveOneOut(trial.truth, self.k)
+
+
+@dataclass(frozen=True)
+class CallContender:
+    """A user's own: a callable that takes a LineCloud and ``arguments`` and returns points (lines, 3) or a Recovery."""
+
+    path: str
+    label: str = ""
+    arguments: dict[str, Any] = field(default_factory=dict)
+    calibrated: bool = False
+    knows_truth: ClassVar[bool] = False
+    timed: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _default_label(self, self.path.rpartition(":")[2])
+        imported(self.path)
+
+    def recover(self, trial: Trial) -> Recovery:
+        """Call it with the lines alone."""
+        return as_recovery(imported(self.path)(trial.lines, **self.arguments), trial.lines, self.path)
+
+    def files(self, cloud: str) -> dict[str, str]:
+        """None: like that of l2p, its code may change between cells."""
+        return {}
+
+
+@dataclass(frozen=True)
+class FolderContender:
+    """Recoveries, or bare points in the order of the lines, made elsewhere: ``FOLDER/SCENE_PERCENT_SEED.npz`` of lines
+    by ``l2p lift --fraction F --seed S``."""
+
+    path: str
+    label: str = ""
+    calibrated: bool = False
+    knows_truth: ClassVar[bool] = False
+    timed: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        _default_label(self, Path(self.path).name)
+
+    def recover(self, trial: Trial) -> Recovery:
+        """Read it; of a file with nothing but points, these, all with the same confidence."""
+        file = self._file(trial.key)
+        bare = kind_of(file) is Kind.SCENE_NPZ
+        return as_recovery(load_scene(file).xyz if bare else load_recovery(file), trial.lines, str(file))
+
+    def files(self, cloud: str) -> dict[str, str]:
+        """The recovery's digest."""
+        file = self._file(cloud)
+        return {"digest": hashlib.sha256(file.read_bytes()).hexdigest()[:12] if file.is_file() else "no file"}
+
+    def _file(self, cloud: str) -> Path:
+        return Path(self.path) / f"{cloud}.npz"
+
+
+#: Every method that a config may name.
+CONTENDERS: dict[str, type[Any]] = {
+    "learned": LearnedContender,
+    "heuristic": HeuristicContender,
+    "tomography": TomographyContender,
+    "oracle": OracleContender,
+    "candidate_oracle": CandidateOracleContender,
+    "loo": LeaveOneOutContender,
+    "call": CallContender,
+    "folder": FolderContender,
+}
+
+
+def contenders_of(entries: list[dict[str, Any]]) -> tuple[Contender, ...]:
+    """The methods of a config, whose labels must differ."""
+    contenders = tuple(contender_of(entry) for entry in entries)
+    labels = [contender.label for contender in contenders]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise InputError(f"got {labels.count(label)} methods with the label {label!r}; give each its own label")
+    return contenders
+
+
+def contender_of(entry: dict[str, Any]) -> Contender:
+    """The method of one entry of a config.
+
+    Raises
+    ------
+    InputError
+        If the name or a parameter is unknown or of another type.
+    """
+    name = entry.get("name")
+    if name not in CONTENDERS:
+        raise InputError(f"got method {name!r}; expected a name of {', '.join(CONTENDERS)}")
+    parameters = {key: value for key, value in entry.items() if key != "name"}
+    try:
+        return OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(CONTENDERS[name]), parameters))  # type: ignore[return-value]
+    except OmegaConfBaseException as error:
+        sentence = str(error).splitlines()[0]
+        raise InputError(f"got parameters {parameters} for method {name}: {sentence}") from error
+
+
+def identity_of(contender: Contender, cloud: str) -> dict[str, Any]:
+    """All that a prediction for that line cloud depends on, but for the code: parameters, and digests of files."""
+    parameters = {key: value for key, value in asdict(contender).items() if key != "calibrated"}  # type: ignore[call-overload]
+    return {"class": type(contender).__name__, **parameters, **contender.files(cloud)}
+
+
+def imported(path: str) -> Callable[..., Any]:
+    """The callable at ``package.module:callable``; modules in the working folder are found."""
+    module, _, name = path.partition(":")
+    if str(Path.cwd()) not in sys.path and "" not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(f"got path {path!r}; expected package.module:callable, but {error}") from error
+    if not callable(found):
+        raise InputError(f"got path {path!r}, which is a {type(found).__name__}; expected a callable")
+    return found
+
+
+def as_recovery(answer: Any, lines: LineCloud, source: str) -> Recovery:
+    """What a user's method gave as a Recovery; bare points are taken as they are, all with the same confidence."""
+    points = answer.xyz if isinstance(answer, Recovery) else finite_rows("points", answer)
+    if len(points) != len(lines):
+        raise InputError(f"got {len(points)} points of {source} for {len(lines)} lines; expected one a line, in order")
+    if isinstance(answer, Recovery):
+        return answer
+    beta = np.sum((points - lines.origin) * lines.direction, axis=1)
+    return Recovery(points, np.ones(len(points), dtype=np.float32), beta)
+
+
+def _default_label(contender: Any, label: str) -> None:
+    if not contender.label:
+        object.__setattr__(contender, "label", label)

@@ -1,0 +1,213 @@
+"""Side by side: the true points of a scene and what each method makes of its lines, seen by one camera."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from eval.cells import Cell, Store, truth_of
+from eval.eval_config import Pictures
+from eval.figures import Drawing
+from eval.scoring import Row
+from l2p.errors import InputError
+from l2p.io.recovery_files import load_recovery
+from l2p.judging.accuracy import errors
+from l2p.maps.scene import Scene
+from l2p.programs.scenes import SceneSource, scene_at
+from l2p.show.pictures import ERROR_LIMIT, Box, Camera, draw_points
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: Small errors are dark, large ones fade towards the white paper.
+ERROR_MAP = "plasma"
+#: The map's last colours would be lost on white.
+LAST = 0.9
+#: Colour of points without one.
+PLAIN = "#3d4a5c"
+#: Along each axis, the share of points on either side that does not set the box, and how far, in lengths of the rest,
+#: the box reaches beyond the rest: far background would shrink everything else.
+TAIL, REACH = 0.1, 0.3
+#: Of points in their own colours, which may be pale: an exponent that darkens them on white.
+DARKER = 1.6
+#: Least and greatest height of a panel, in widths of it.
+HEIGHTS = (0.45, 1.2)
+#: Diameter of a point of a cloud of 10,000, in printer's points; fewer points are larger.
+SIZE, SIZES = 1.2, (0.6, 3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """How a scene is seen: turned by ``turn`` so that z is up, its main part in a box, a camera above the box."""
+
+    turn: Float[np.ndarray, "3 3"]
+    box: Box
+    camera: Camera
+
+    @classmethod
+    def of(cls, scene: Scene, upright: bool) -> View:
+        """The view of a scene; ``upright`` says that its z is up, else its flattest direction is."""
+        turn = np.eye(3) if upright else _turn(scene)
+        xyz = scene.xyz @ turn.T
+        low, high = np.quantile(xyz, (TAIL, 1 - TAIL), axis=0)
+        beyond = REACH * (high - low)
+        box = Box(np.maximum(low - beyond, xyz.min(axis=0)), np.minimum(high + beyond, xyz.max(axis=0)))
+        return cls(turn, box, Camera.above(box))
+
+    def shown(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
+        """Which points are in the box."""
+        return self.box.contains(points @ self.turn.T)
+
+
+def check_pictures(pictures: Pictures, scenes: Sequence[SceneSource]) -> None:
+    """Refuse scenes that the run does not have, before any work."""
+    names = [scene.name for scene in scenes]
+    for name in pictures.scenes:
+        if name not in names:
+            raise InputError(f"got picture scene {name}, which is no scene of this run; expected some of {names}")
+
+
+def draw_pictures(cells: Sequence[Cell], rows: Sequence[Row], store: Store, pictures: Pictures) -> list[Drawing]:
+    """Every picture that is asked for and has something predicted, of the first seed."""
+    row_of = {(row["scene"], row["fraction"], row["seed"], row["method"]): row for row in rows}
+    drawn = []
+    for name in pictures.scenes:
+        for fraction in pictures.fractions:
+            own = [cell for cell in cells if (cell.scene.name, cell.fraction) == (name, fraction)]
+            own = [cell for cell in own if cell.seed == own[0].seed and store.done(cell)]
+            if own:
+                of = [row_of[name, fraction, cell.seed, cell.contender.label] for cell in own]
+                drawn.append(_picture(own, of, store, pictures.color))
+    return drawn
+
+
+def _picture(cells: Sequence[Cell], rows: Sequence[Row], store: Store, color: str) -> Drawing:
+    """One scene at one fraction: the truth, then a panel a method."""
+    source, fraction = cells[0].scene, cells[0].fraction
+    scene = scene_at(source.source)
+    view = View.of(scene, upright=source.source.startswith("sim:"))
+    loaded, truth, index = truth_of(cells[0])
+    by_rgb = color == "rgb" and scene.rgb is not None
+    paint = np.full((len(index), 3), _rgb(PLAIN)) if scene.rgb is None else (scene.rgb[index] / 255) ** DARKER
+    size = float(np.clip(SIZE * np.sqrt(10_000 / len(truth)), *SIZES))
+    limits = _limits(view, truth)
+    across, upward = limits[1] - limits[0]
+    figure, panels = _panels(len(cells) + 1, float(np.clip(upward / across, *HEIGHTS)))
+    _draw(panels[0], view, truth, paint, size, limits, f"true points\n{len(truth)} of {len(loaded.xyz)}")
+    for panel, cell, row in zip(panels[1:], cells, rows, strict=True):
+        points = load_recovery(store.prediction(cell)).xyz
+        shade = paint if by_rgb else _error_colors(errors(points, truth) / loaded.spacing)
+        heading = f"{cell.contender.label}\nmedian {row['median_spacings']:.2f}, {row['within_1']:.0%} within 1 spacing"
+        _draw(panel, view, points, shade, size, limits, heading)
+    if not by_rgb:
+        _scale(figure, panels)
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=110, facecolor="white", metadata={"Software": None})
+    said = "in the colours of the true points" if by_rgb else "coloured by error"
+    caption = (
+        f"{source.name} at {100 * fraction:g} %: main part of the true points, and what each method puts there, {said}"
+    )
+    return Drawing(f"{source.name}_{100 * fraction:g}.png", caption, file.getvalue())
+
+
+def _draw(
+    panel: Axes,
+    view: View,
+    points: Float[np.ndarray, "points 3"],
+    color: np.ndarray,
+    size: float,
+    limits: Float[np.ndarray, "2 2"],
+    heading: str,
+) -> None:
+    kept = view.shown(points)
+    draw_points(panel, view.camera, points[kept] @ view.turn.T, color[kept], size)
+    panel.set_title(heading, fontsize=10)
+    panel.set(aspect="equal", xlim=limits[:, 0], ylim=limits[:, 1])
+    panel.set_axis_off()
+
+
+def _limits(view: View, truth: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "2 2"]:
+    """Low and high corner of the image: what the true points in the box fill."""
+    place, _ = view.camera.project(truth[view.shown(truth)] @ view.turn.T)
+    low, high = (place.min(axis=0), place.max(axis=0)) if len(place) else (-np.ones(2), np.ones(2))
+    return np.stack([low, high]) + 0.03 * (high - low) * [[-1], [1]]
+
+
+def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
+    """As many panels, ``height`` widths high each, in rows of similar length."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = count if count < 5 else 3 if count < 7 else 4
+    rows = -(-count // columns)
+    figure = Figure(figsize=(4.2 * columns, (4.2 * height + 0.5) * rows + 0.7), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for panel in panels[count:]:
+        panel.remove()
+    return figure, panels[:count]
+
+
+def _scale(figure: Figure, panels: Sequence[Axes]) -> None:
+    """The colour bar of the errors, under the panels."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    mappable = ScalarMappable(Normalize(0, ERROR_LIMIT), _error_map())
+    bar = figure.colorbar(mappable, ax=list(panels), location="bottom", shrink=0.4, aspect=40, pad=0.02)
+    bar.set_ticks([0, ERROR_LIMIT / 2, ERROR_LIMIT], labels=["0", f"{ERROR_LIMIT / 2:g}", f"{ERROR_LIMIT:g} or more"])
+    bar.set_label("error (spacings)")
+    outline: Any = bar.outline
+    outline.set_visible(False)
+
+
+def _error_map() -> Any:
+    from matplotlib import colormaps
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap(colormaps[ERROR_MAP](np.linspace(0, LAST, 256)))
+
+
+def _error_colors(error: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points 4"]:
+    return _error_map()(np.clip(error / ERROR_LIMIT, 0, 1))
+
+
+def _rgb(name: str) -> tuple[float, float, float]:
+    from matplotlib.colors import to_rgb
+
+    return to_rgb(name)
+
+
+def _turn(scene: Scene) -> Float[np.ndarray, "3 3"]:
+    """Axes with z up, as well as points tell: across the flattest direction of the cameras, or else of the points.
+
+    Notes
+    -----
+    People hold cameras at one height. Which of both ends is up follows the two customs of SfM: z up in models that were
+    aligned, -y in others, where the world has the axes of a first image.
+    """
+    spread = [_axes(xyz) for xyz in (scene.camera_centers, scene.xyz) if xyz is not None and len(xyz) > 3]
+    if not spread:
+        return np.eye(3)
+    _, axes = min(spread, key=lambda found: found[0][0] / found[0][1])
+    up = axes[0]
+    customary = max(np.array([[0.0, 0, 1], [0.0, -1, 0]]), key=lambda custom: abs(custom @ up))
+    up = up if up @ customary > 0 else -up
+    first = axes[2] - (axes[2] @ up) * up
+    first = first / np.linalg.norm(first)
+    return np.stack([first, np.cross(up, first), up])
+
+
+def _axes(points: Float[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    """Extents and axes of the main part of the points, the shortest first."""
+    apart = points - np.median(points, axis=0)
+    distance = np.linalg.norm(apart, axis=1)
+    apart = apart[distance <= np.quantile(distance, 0.9)]
+    extent, axes = np.linalg.eigh(apart.T @ apart)
+    return np.sqrt(np.maximum(extent, 1e-300)), axes.T

@@ -1,0 +1,241 @@
+"""The checkpoint: one safetensors file with the network, how its rounds are run, and how it came about.
+
+The tensors are the network's, by name; everything else is JSON in the file's metadata. Nothing in it is ever
+executed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from importlib.resources import files
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeVar, get_origin, get_type_hints
+
+import torch
+from torch import Tensor
+
+from l2p.attacks.learned.learned import Learned, LearnedConfig
+from l2p.attacks.learned.network import RADII, LineTransformer, NetworkConfig
+from l2p.errors import InputError
+
+#: Number of the file's layout; a reader refuses those that it does not know.
+FORMAT = 3
+_FORMAT_KEY = "l2p_format"
+#: Hexadecimal digits of a digest: enough to tell checkpoints apart.
+_DIGITS = 12
+
+Config = TypeVar("Config")
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """What a checkpoint file holds.
+
+    Attributes
+    ----------
+    network : LineTransformer
+    config : LearnedConfig
+    calibration : sequence of sequences of (float, float)
+        For each round and radius a and b of the probability sigmoid(a sure + b) of lying within it.
+    facts : dict
+        How it was trained: plain values.
+    """
+
+    network: LineTransformer
+    config: LearnedConfig
+    calibration: Sequence[Sequence[tuple[float, float]]]
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+class LoadedLearned(Learned):
+    """The learned attack with the weights of a file, which its settings name.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    checkpoint : Checkpoint
+        What it holds.
+    config : LearnedConfig
+        How the rounds are run: those of the checkpoint, or fewer.
+    density : float
+        See :class:`l2p.attacks.learned.learned.Learned`.
+    """
+
+    def __init__(
+        self, path: str | PathLike[str], checkpoint: Checkpoint, config: LearnedConfig, density: float
+    ) -> None:
+        super().__init__(checkpoint.network, config, checkpoint.calibration, density)
+        self.source = {"checkpoint": Path(path).name, "digest": digest(path)}
+
+    def settings(self) -> dict[str, Any]:
+        """Those of the attack; the file's name, without its folder, and its digest."""
+        return {**super().settings(), **self.source}
+
+
+def shipped() -> Path:
+    """The checkpoint that is installed with the package.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the installation lacks it.
+    """
+    path = Path(str(files("l2p") / "weights" / "learned.safetensors"))
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} is missing from this installation; install l2p again, give a checkpoint of your own "
+            "(--checkpoint FILE), or choose another method"
+        )
+    return path
+
+
+def digest(path: str | PathLike[str]) -> str:
+    """The first 12 hexadecimal digits of the file's SHA-256."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()[:_DIGITS]
+
+
+def save(path: str | PathLike[str], checkpoint: Checkpoint, *, overwrite: bool = False) -> None:
+    """Write a checkpoint, whole or not at all."""
+    from safetensors.torch import save as encoded
+
+    from l2p.io.atomic import atomic_file
+
+    tensors = {name: value.detach().cpu().contiguous() for name, value in checkpoint.network.state_dict().items()}
+    metadata = {
+        _FORMAT_KEY: str(FORMAT),
+        "network": json.dumps(asdict(checkpoint.network.config)),
+        "learned": json.dumps(asdict(checkpoint.config)),
+        "radii": json.dumps(list(RADII)),
+        "calibration": json.dumps([[list(pair) for pair in part] for part in checkpoint.calibration]),
+        "facts": json.dumps(checkpoint.facts, ensure_ascii=False),
+    }
+    with atomic_file(path, overwrite=overwrite) as file:
+        file.write(encoded(tensors, metadata))
+
+
+def load(path: str | PathLike[str], *, rounds: int | None = None, density: float = 1.0) -> Learned:
+    """The attack of a checkpoint file.
+
+    Parameters
+    ----------
+    path : path
+    rounds : int, optional
+        Fewer rounds than it was trained for.
+    density : float
+        Share of the map's points that the line cloud holds, in (0, 1] (:class:`l2p.attacks.learned.learned.Learned`).
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    InputError
+        If it is no checkpoint of l2p, is damaged, was written by a newer version, or knows fewer rounds, or if the
+        density is out of range.
+    """
+    if not 0 < density <= 1:
+        raise InputError(f"got density {density}; expected a number in (0, 1]")
+    checkpoint = read(path)
+    config = checkpoint.config
+    if rounds is not None:
+        if not 0 <= rounds <= config.rounds:
+            raise InputError(f"got {rounds} rounds; expected 0 to {config.rounds}, those that {path} was trained for")
+        config = replace(config, rounds=rounds)
+    return LoadedLearned(path, checkpoint, config, density)
+
+
+def read(path: str | PathLike[str]) -> Checkpoint:
+    """All that a checkpoint file holds; raises as :func:`load` does."""
+    path = Path(path)
+    metadata, tensors = _opened(path)
+    _check_format(path, metadata)
+    try:
+        size = configured(NetworkConfig, json.loads(metadata["network"]))
+        config = configured(LearnedConfig, json.loads(metadata["learned"]))
+        calibration = [[(float(a), float(b)) for a, b in part] for part in json.loads(metadata["calibration"])]
+        radii = tuple(json.loads(metadata["radii"]))
+        facts = dict(json.loads(metadata["facts"]))
+    except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
+        raise InputError(f"{path} has a damaged header ({error}); download or train the checkpoint again") from error
+    if radii != RADII:
+        raise InputError(f"{path} knows how sure it is within {radii} spacings; expected {RADII}; train it again")
+    if len(calibration) != config.rounds or any(len(part) != len(RADII) for part in calibration):
+        raise InputError(
+            f"{path} has {len(calibration)} calibrations for {config.rounds} rounds; expected one a round and radius"
+        )
+    if not all(math.isfinite(number) for part in calibration for pair in part for number in pair):
+        raise InputError(f"{path} has calibrations that are NaN or infinite; it is damaged")
+    return Checkpoint(_network(path, size, tensors), config, calibration, facts)
+
+
+def configured(kind: type[Config], values: dict[str, Any]) -> Config:
+    """A configuration dataclass from plain values; every key has to be there, and no other."""
+    hints = get_type_hints(kind)
+    names = [entry.name for entry in fields(kind)]  # type: ignore[arg-type]
+    if not isinstance(values, dict) or set(values) != set(names):
+        raise ValueError(f"got {sorted(values)} for {kind.__name__}, expected {sorted(names)}")
+    return kind(**{name: _value(hints[name], values[name]) for name in names})
+
+
+def _value(kind: Any, value: Any) -> Any:
+    if is_dataclass(kind):
+        return configured(kind, value)  # type: ignore[arg-type]
+    if isinstance(value, list):
+        value = tuple(value)  # JSON and YAML know no tuples
+    taken = (int, float) if kind is float else get_origin(kind) or kind
+    if not isinstance(value, taken) or isinstance(value, bool):
+        raise ValueError(f"got {value!r}, expected {kind}")
+    return value
+
+
+def _opened(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    from safetensors import SafetensorError, safe_open
+
+    if os.path.isdir(path):
+        raise InputError(f"{path} is a folder; expected a checkpoint file, *.safetensors")
+    if not os.path.exists(path):
+        raise FileNotFoundError(f"{path} does not exist; expected a checkpoint file, *.safetensors")
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise InputError(f"{path} is no safetensors file or is cut short ({error}); expected a checkpoint") from error
+
+
+def _check_format(path: Path, metadata: dict[str, str]) -> None:
+    written = metadata.get(_FORMAT_KEY, "")
+    if not written.isdecimal():
+        raise InputError(f"{path} is a safetensors file of another program; expected a checkpoint of l2p")
+    if int(written) != FORMAT:
+        mend = "update l2p" if int(written) > FORMAT else "train or download it again"
+        raise InputError(f"{path} has format {written}, this version of l2p reads format {FORMAT}; {mend}")
+
+
+def _network(path: Path, size: NetworkConfig, tensors: dict[str, Tensor]) -> LineTransformer:
+    if size.layers > len(tensors) or size.width > sum(value.numel() for value in tensors.values()):
+        raise InputError(f"{path} has too few tensors for {size.layers} layers of width {size.width}; it is damaged")
+    try:
+        # Without numbers: nothing is allocated that the tensors of the file do not fill.
+        with torch.device("meta"):
+            expected = {name: tuple(value.shape) for name, value in LineTransformer(size).state_dict().items()}
+    except (TypeError, ValueError, RuntimeError, ArithmeticError) as error:
+        raise InputError(f"{path} has sizes that no network has ({error}); it is damaged") from error
+    if set(expected) != set(tensors):
+        name = min(set(expected) ^ set(tensors))
+        raise InputError(f"{path} {'lacks' if name in expected else 'has an unknown'} tensor {name}; it is damaged")
+    for name, value in tensors.items():
+        if tuple(value.shape) != expected[name] or value.dtype != torch.float32:
+            raise InputError(
+                f"{path} has tensor {name} of {value.dtype} {tuple(value.shape)}; expected float32 {expected[name]}"
+            )
+        if not bool(value.isfinite().all()):
+            raise InputError(f"{path} has weights that are NaN or infinite in {name}; it is damaged")
+    network = LineTransformer(size)
+    network.load_state_dict(tensors, strict=True)
+    return network

@@ -1,0 +1,253 @@
+"""The line transformer: which of a line's candidates are true neighbours, judged by how well their votes agree.
+
+A candidate's token holds the features of its pair, the state that the candidate took from the round before, and the
+density of the other candidates around the foot of its estimate. Tokens of one line attend to each other by where they
+are along the line: in head h token k reaches token j with the weight
+
+    A_h[j, k] = (1 + ((t_j - t_k)^2 + g_k^2) / (s_h w_k)^2)^-2,
+
+where t is the foot of an estimate on the line, g its distance from the line, w its local scale and s_h the width of the
+head: (t_j - t_k)^2 + g_k^2 is the squared distance of estimate k from foot j. So sum_k A_h[j, k] / w_k^3 is an adaptive
+kernel estimate of the density of points at foot j; its logarithm, counted from the densest foot of the line, is what a
+line's point is most likely to go by when the others are known (leave-one-out, :mod:`l2p.judging.references`). With the
+same weights the mean of the feet around foot j, a step of mean shift, says on which side of it the densest place is.
+Each layer also sees the mean and the maximum over all tokens, since the places along a line compete. States carry what
+a line has found to the lines around it, round by round.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from l2p.attacks.learned.features import EDGE, FAMILIES, STATE, VOTES, Edges
+
+#: Radii, in spacings of the line cloud's own points, within which the network says how likely a point is found.
+RADII = (0.125, 0.25, 0.5, 1.0, 2.0)
+#: Numbers of a foot in each head: density of all candidates, of the confident ones, plain count, and mean shift.
+_AROUND = 4
+#: Local scales that the mean of the feet may lie from a foot.
+_FARTHEST_MEAN = 3.0
+#: Numbers of a token that are pooled over the line.
+_POOLED = 16
+#: Bounds of the logarithm of a density against the densest, and its factor: inputs of a network are about 1.
+_LOG_RANGE, _LOG_FACTOR = 15.0, 0.3
+#: What a network can do without: families of features, the numbers about the surroundings of a foot, states, votes.
+PARTS = (*FAMILIES, "density", "state", *(f"{kind}_vote" for kind in VOTES))
+#: Logit of what is not there.
+NOTHING = -30.0
+#: Logit of a vote that is not there: not even a line without any other votes for it.
+NO_VOTE = -1e9
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Sizes of the network.
+
+    Attributes
+    ----------
+    width : int
+        Numbers in a token.
+    layers : int
+        Attention layers.
+    heads : int
+        Widths s_h of the attention, spread geometrically from ``finest`` to ``widest`` local scales.
+    without : tuple of str
+        Parts that are left out, of ``PARTS``: for measuring what they are worth.
+    """
+
+    width: int = 64
+    layers: int = 1
+    heads: int = 4
+    finest: float = 0.25
+    widest: float = 2.0
+    without: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.heads < 1 or self.width % self.heads:
+            raise ValueError(f"got width {self.width} and {self.heads} heads; expected a width that they divide")
+        if self.layers < 0 or not 0 < self.finest <= self.widest:
+            raise ValueError(
+                f"got {self.layers} layers and heads of {self.finest} to {self.widest} local scales; expected at least "
+                "0 layers, and widths that rise from above 0"
+            )
+
+        unknown = sorted(set(self.without) - set(PARTS))
+        if unknown:
+            raise ValueError(f"got a network without {', '.join(unknown)}; expected parts of {', '.join(PARTS)}")
+        if {f"{kind}_vote" for kind in VOTES} <= set(self.without):
+            raise ValueError("got a network without any votes; expected one kind of them at least")
+
+    @property
+    def scales(self) -> list[float]:
+        """The widths s_h."""
+        ratio = (self.widest / self.finest) ** (1 / max(self.heads - 1, 1))
+        return [self.finest * ratio**head for head in range(self.heads)]
+
+
+class Judgement(NamedTuple):
+    """The network's word on each line.
+
+    ``affinity``: logit of each candidate being a true neighbour. ``place``: each candidate's votes, positions on the
+    line from the estimate before, ``spread``: the size of their errors, ``vote``: logits of the point being there, over
+    all votes of a line. ``sure``: logits of the point being found within each of ``RADII``. ``state`` is handed to the
+    next round.
+    """
+
+    affinity: Float[Tensor, "lines k"]
+    place: Float[Tensor, "lines k votes"]
+    spread: Float[Tensor, "lines k votes"]
+    vote: Float[Tensor, "lines k votes"]
+    state: Float[Tensor, "lines state"]
+    sure: Float[Tensor, "lines radii"]
+
+
+class Attention(NamedTuple):
+    """Who attends to whom: ``kernel``, unscaled, from token k to token j, 0 from padding; ``share``, the factor that
+    makes what reaches j sum to about 1."""
+
+    kernel: Float[Tensor, "lines heads k j"]
+    share: Float[Tensor, "lines heads 1 j"]
+
+    def gathered(self, value: Float[Tensor, "lines k width"]) -> Float[Tensor, "lines j width"]:
+        """What each token gathers of the values around it, a part of the width in each head."""
+        heads = self.kernel.shape[1]
+        # Products with rows of 8 numbers are several times faster from the left than from the right.
+        parts = value.transpose(1, 2).contiguous().unflatten(1, (heads, -1))
+        return (parts @ self.kernel * self.share).flatten(1, 2).transpose(1, 2)
+
+
+class PositionAttention(nn.Module):
+    """Tokens attend to each other by position along the line; the kernels are shared by all layers."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(width)
+        self.value = nn.Linear(width, width)
+        self.global_value = nn.Linear(width, _POOLED)
+        self.mix = nn.Linear(2 * width + 2 * _POOLED, width)
+        self.expand = nn.Linear(width, 2 * width)
+        self.shrink = nn.Linear(2 * width, width)
+
+    def forward(
+        self, token: Float[Tensor, "lines k width"], attention: Attention, valid: Bool[Tensor, "lines k"]
+    ) -> Float[Tensor, "lines k width"]:
+        """One layer: gather what is near on the line, and what the whole line holds, then think about it."""
+        normal = self.norm(token)
+        near = attention.gathered(self.value(normal))
+        token = token + self._mixed(normal, near, _mean_and_most(self.global_value(normal), valid))
+        return token + self.shrink(nn.functional.gelu(self.expand(token)))
+
+    def _mixed(
+        self,
+        normal: Float[Tensor, "lines k width"],
+        near: Float[Tensor, "lines k width"],
+        everywhere: Float[Tensor, "lines pooled"],
+    ) -> Float[Tensor, "lines k width"]:
+        """``mix`` of the three side by side; what is the same for all tokens of a line is mixed once a line."""
+        width = normal.shape[2]
+        own, around, rest = self.mix.weight.split([width, width, everywhere.shape[1]], dim=1)
+        line = nn.functional.linear(everywhere, rest, self.mix.bias)[:, None]
+        return nn.functional.linear(normal, own) + nn.functional.linear(near, around) + line
+
+
+class LineTransformer(nn.Module):
+    """Judges the candidates of each line on its own: the answer does not depend on the batch."""
+
+    def __init__(self, config: NetworkConfig | None = None) -> None:
+        super().__init__()
+        self.config = config or NetworkConfig()
+        width, heads, without = self.config.width, self.config.heads, self.config.without
+        lost = {name for part in without for name in FAMILIES.get(part, ())}
+        #: Of the edge features, and of the votes of a pair, those that the network has.
+        self.features = [place for place, name in enumerate(EDGE) if name not in lost]
+        self.kinds = [place for place, kind in enumerate(VOTES) if f"{kind}_vote" not in without]
+        self.sees_states, self.sees_densities = "state" not in without, "density" not in without
+        inputs = len(self.features) + self.sees_states * STATE + self.sees_densities * _AROUND * heads
+        votes = len(self.kinds)
+        self.embed = nn.Sequential(nn.Linear(inputs, width), nn.GELU(), nn.Linear(width, width))
+        # Logarithms of the spread of each kind of votes, in local scales.
+        self.log_spread = nn.Parameter(torch.full((votes,), -1.5))
+        self.layers = nn.ModuleList(PositionAttention(width) for _ in range(self.config.layers))
+        self.norm = nn.LayerNorm(width)
+        self.judge = nn.Linear(width, 1 + votes)
+        self.pool = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, STATE + len(RADII)))
+
+    def forward(self, edges: Edges) -> Judgement:
+        """Judge the candidates; padding gets a logit that stands for nothing."""
+        attention, around = self._kernels(edges)
+        inputs = [_columns(edges.feature, self.features)]
+        inputs += [edges.state] if self.sees_states else []
+        inputs += [around] if self.sees_densities else []
+        token = self.embed(torch.cat(inputs, dim=2))
+        for layer in self.layers:
+            token = layer(token, attention, edges.valid)
+        token = self.norm(token)
+        judged = self.judge(token)
+        affinity = judged[..., 0].masked_fill(~edges.valid, NOTHING)
+        vote = judged[..., 1:].masked_fill(~edges.valid[..., None], NO_VOTE)
+        spread = edges.width.masked_fill(~edges.valid, 1.0)[..., None] * self.log_spread.exp()
+        pooled = self.pool(_pooled(token, affinity, edges.valid))
+        state, sure = torch.tanh(pooled[:, :STATE]), _rising(pooled[:, STATE:])
+        return Judgement(affinity, _columns(edges.vote, self.kinds), spread, vote, state, sure)
+
+    def _kernels(self, edges: Edges) -> tuple[Attention, Float[Tensor, "lines k around"]]:
+        """The attention of each head, and inputs about what is around each foot."""
+        valid, count = edges.valid, edges.valid.to(edges.gap.dtype)
+        width = edges.width.masked_fill(~valid, 1.0)
+        foot = edges.foot.masked_fill(~valid, 0)
+        # Rows are the candidates k, columns the feet j.
+        gap2 = edges.gap.square().masked_fill(~valid, torch.inf)
+        apart2 = (foot[:, None, :] - foot[:, :, None]).square_().add_(gap2[:, :, None])
+        apart2 = apart2.mul_(width.square().reciprocal()[:, :, None])
+        # (1 + a / s^2)^-2 = s^4 (s^2 + a)^-2; the factor goes where there are fewer numbers.
+        scale2 = apart2.new_tensor(self.config.scales).square()[:, None, None]
+        kernel = (apart2[:, None] + scale2).pow(-2)
+        # 1 / w^3, counted from the densest so that it stays in range.
+        weight = -3 * width.log().masked_fill(~valid, torch.inf)
+        weight = (weight - weight.amax(dim=1, keepdim=True)).exp().masked_fill(~valid, 0)
+        confident = weight * edges.confidence
+        weights = torch.stack([weight, confident, count, confident * foot], dim=1)
+        factor = scale2.square()
+        total = weights[:, None] @ kernel * factor  # lines heads 4 feet
+        level = total[:, :, :3].clamp_min(1e-12).log()
+        level[:, :, :2] -= level[:, :, :2].masked_fill(~valid[:, None, None], -torch.inf).amax(dim=3, keepdim=True)
+        level = level.clamp(-_LOG_RANGE, _LOG_RANGE) * _LOG_FACTOR
+        _, sure, number, moment = total.unbind(dim=2)
+        shift = torch.where(sure > 1e-12, moment / sure.clamp_min(1e-12) - foot[:, None], 0.0) / width[:, None]
+        shift = edges.side[:, None] * shift.clamp(-_FARTHEST_MEAN, _FARTHEST_MEAN)
+        around = torch.cat([level, shift[:, :, None]], dim=2).flatten(1, 2)
+        around = around.nan_to_num_().masked_fill_(~valid[:, None], 0).transpose(1, 2)
+        return Attention(kernel, factor / (number[:, :, None] + 1e-2)), around
+
+
+def _columns(table: Float[Tensor, "lines k columns"], kept: list[int]) -> Float[Tensor, "lines k kept"]:
+    """Some of the columns."""
+    return table if len(kept) == table.shape[2] else table[..., kept]
+
+
+def _mean_and_most(value: Float[Tensor, "lines k n"], valid: Bool[Tensor, "lines k"]) -> Float[Tensor, "lines two_n"]:
+    """Mean and maximum over a line's candidates; about 0 for a line without any."""
+    share = valid / valid.sum(dim=1, keepdim=True).clamp_min(1)
+    mean = (share[:, None] @ value)[:, 0]
+    most = value.masked_fill(~valid[..., None], NOTHING).amax(dim=1)
+    return torch.cat([mean, most * valid.any(dim=1, keepdim=True)], dim=1)
+
+
+def _rising(logit: Float[Tensor, "lines radii"]) -> Float[Tensor, "lines radii"]:
+    """Logits that do not fall from one radius to the next."""
+    return torch.cat([logit[:, :1], nn.functional.softplus(logit[:, 1:])], dim=1).cumsum(dim=1)
+
+
+def _pooled(
+    token: Float[Tensor, "lines k width"], affinity: Float[Tensor, "lines k"], valid: Bool[Tensor, "lines k"]
+) -> Float[Tensor, "lines two_widths"]:
+    """Mean token by affinity, and over all candidates."""
+    weight = torch.sigmoid(affinity) * valid
+    share = weight / weight.sum(dim=1, keepdim=True).clamp_min(1e-6)
+    everything = valid / valid.sum(dim=1, keepdim=True).clamp_min(1)
+    return (torch.stack([share, everything], dim=1) @ token).flatten(1)

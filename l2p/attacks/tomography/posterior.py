@@ -1,0 +1,44 @@
+"""Where on each line its point may be: the posterior that the tomography gives."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+class Posterior(NamedTuple):
+    """Where on each line its point may be: samples along it and their probabilities, which sum to 1.
+
+    A line that misses the box has probability 0 everywhere. ``step`` is the distance of neighbouring samples on the
+    line.
+    """
+
+    beta: Float[Tensor, "lines m"]
+    probability: Float[Tensor, "lines m"]
+    step: Float[Tensor, " lines"]
+
+
+def modes(posterior: Posterior) -> tuple[Float[Tensor, " lines"], Float[Tensor, " lines"]]:
+    """The most probable position on each line and its probability.
+
+    Samples in one cell are equally probable: the middle of those nearest the foot is taken, whichever way a line runs.
+    """
+    probability = posterior.probability.amax(dim=1)
+    equal = posterior.probability >= (1 - 1e-5) * probability[:, None]
+    nearest = posterior.beta.abs().masked_fill(~equal, torch.inf).argmin(dim=1, keepdim=True)
+    apart = (posterior.beta - posterior.beta.gather(1, nearest)).abs()
+    equal &= apart <= 1.5 * posterior.step[:, None]
+    beta = (posterior.beta * equal).sum(dim=1) / equal.sum(dim=1)
+    return beta.masked_fill(probability == 0, 0), probability
+
+
+def mass_within(
+    posterior: Posterior, beta: Float[Tensor, " lines"], radius: float | Float[Tensor, " lines"]
+) -> Float[Tensor, " lines"]:
+    """Posterior probability that a line's point lies within ``radius`` of ``beta``: how sure the estimate is."""
+    reach = torch.as_tensor(radius, device=beta.device, dtype=beta.dtype).expand_as(beta)
+    near = (posterior.beta - beta[:, None]).abs() <= reach[:, None]
+    return (posterior.probability * near).sum(dim=1).clamp(0, 1)

@@ -1,0 +1,255 @@
+"""Tomography: a density from the lines alone, and the most likely place of each line's point in it.
+
+A uniform line cloud is a list-mode emission data set without time of flight: one event per point, all directions
+equally likely. The density lambda follows by expectation maximisation (list-mode MLEM, Shepp & Vardi 1982): each line
+spreads one unit of mass over the cells that it crosses in proportion to lambda (forward projection), and lambda
+becomes the sum of what the lines spread (back projection). A point anywhere is seen by exactly one line, so the
+sensitivity is 1 everywhere and drops out; so does the length of a line inside a cell, which is the same for all
+samples of a line.
+
+Resolution follows the data: cells are halved level by level along each line, keeping only the segments with the most
+posterior mass (:mod:`l2p.attacks.tomography.octree`), and the density of small cells that few lines support is shrunk
+to that of their ancestors (Polya tree). Time and memory are O(lines x segments), whatever the extent of the scene.
+
+Processes that share the lines (:mod:`l2p.work.shards`) each have samples of their own lines and the density of all.
+What lines spread is added up in integers: unlike sums of rounded numbers they do not depend on the order, so neither
+does the answer on the number of processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from l2p.attacks.tomography.octree import Cells, children, interpolate, root, smooth, total
+from l2p.attacks.tomography.posterior import Posterior
+from l2p.geometry.elements import Lines, picked
+from l2p.work.memory import fitting
+from l2p.work.progress import NO_PROGRESS, Progress
+from l2p.work.shards import ALONE, Shards
+
+#: Most line samples in one block of work, and bytes of temporaries of each.
+SAMPLES, _SAMPLE_BYTES = 1 << 20, 60
+#: Most that is held of each line meanwhile: samples, and up to a cell for each (``benchmarks/memory.py``).
+LINE_BYTES = 8200
+#: Mass of a cell that counts as none.
+EMPTY = 1e-12
+#: Mass is added up in whole numbers of this: far below the rounding of the numbers that are added, and a power of two,
+#: so that nothing else is rounded. The sums hold 2^28 lines.
+_GRAIN = 2.0**-34
+#: From so many cells on they are not halved: eight times as many are not to be numbered in 32 bits.
+MOST_CELLS = (1 << 28) - 2
+
+
+@dataclass(frozen=True)
+class TomographyConfig:
+    """Settings of the reconstruction; defaults were chosen on training scenes (``docs/experiments.md``).
+
+    Attributes
+    ----------
+    start : int
+        Cells along each side of the box at the first level.
+    levels : int
+        Most levels, each with cells of half the side.
+    segments : int
+        Segments of each line that are kept from level to level.
+    iterations : int
+        EM updates at each level. Few: more of them sharpen noise (early stopping).
+    smoothing : float
+        Share of a cell's mass that moves to each of its two neighbours along each axis after an update, below 1/3.
+    shrinkage : float
+        Mass of the prior in each parent, against that of the lines in its children.
+    quantile, margin : float
+        The half side of the box is this quantile of the lines' distances from their centre, times the margin.
+    crowd : float
+        Stop refining when cells hold less mass than this, averaged over the mass.
+    """
+
+    start: int = 16
+    levels: int = 9
+    segments: int = 32
+    iterations: int = 4
+    smoothing: float = 0.2
+    shrinkage: float = 0.7
+    quantile: float = 0.97
+    margin: float = 2.0
+    crowd: float = 0.15
+
+
+class _Level(NamedTuple):
+    """One resolution: its cells below all their ancestors, coarsest first, and each line's samples in the finest.
+
+    ``shape`` is the prior's share of each cell in its parent, ``cell`` the row of each sample's cell, the number of
+    cells for a sample outside the box. Cells are those of all lines, samples those of the lines of this process.
+    """
+
+    cells: list[Cells]
+    shape: list[Float[Tensor, " _"]]
+    cell: Int[Tensor, "lines m"]
+    beta: Float[Tensor, "lines m"]
+
+
+def reconstruct(
+    lines: Lines, config: TomographyConfig | None = None, progress: Progress = NO_PROGRESS, shards: Shards = ALONE
+) -> Posterior:
+    """The posterior of each line's point, by expectation maximisation from coarse to fine.
+
+    Parameters
+    ----------
+    lines : Lines
+        In the working frame (:class:`l2p.geometry.frame.Frame`), along whose axes the grid lies; the unit does not
+        matter.
+    shards : Shards
+        The answer is that of the lines of this process.
+    """
+    half, level, density = _converged(lines, config or TomographyConfig(), progress, shards)
+    own = lines.rows(shards.own(len(lines.direction)))
+    width = 2 * half / level.cells[-1].side
+    probability = torch.empty_like(level.beta)
+    for rows in _blocks(*level.cell.shape):
+        probability[rows] = _posterior(level, density, rows)
+    return Posterior(level.beta, probability, width / own.direction.abs().amax(dim=1))
+
+
+def _converged(
+    lines: Lines, config: TomographyConfig, progress: Progress = NO_PROGRESS, shards: Shards = ALONE
+) -> tuple[float, _Level, Float[Tensor, " cells"]]:
+    """Half the side of the box, the finest level, and the mass of each of its cells."""
+    half = _half_side(lines, config)
+    lines = lines.rows(shards.own(len(lines.direction)))
+    level = _first_level(lines, half, config.start)
+    density = level.beta.new_ones(config.start**3)
+    with progress.task("tomography", total=config.levels * config.iterations) as advance:
+        for depth in range(config.levels):
+            if depth > 0:
+                level = _refined(lines, half, level, density, config.segments, shards)
+                density = density.index_select(0, level.cells[-1].parent) * level.shape[-1]
+            for _ in range(config.iterations):
+                density = _update(level, density, config, shards)
+                advance(1)
+            # Processors of another make may add it up to other digits, and all have to stop as one.
+            if float(shards.first(_crowd(density))) < config.crowd or len(density) > MOST_CELLS:
+                break
+    return half, level, density
+
+
+def _half_side(lines: Lines, config: TomographyConfig) -> float:
+    # torch.quantile refuses more than 2^24 values.
+    distance = lines.moment.norm(dim=1).sort().values
+    half = float(distance[min(len(distance) - 1, int(config.quantile * len(distance)))]) * config.margin
+    return half if half > 0 else 1.0
+
+
+def _first_level(lines: Lines, half: float, side: int) -> _Level:
+    """All cells of the box; samples where a line crosses the middle planes of the slabs along its dominant axis."""
+    axis = lines.direction.abs().argmax(dim=1, keepdim=True)
+    plane = (torch.arange(side, device=axis.device) + 0.5) * (2 * half / side) - half
+    beta = (plane - lines.foot.gather(1, axis)) / lines.direction.gather(1, axis)
+    cell = torch.empty_like(beta, dtype=torch.int32)
+    for rows in _blocks(*beta.shape):
+        place = _places(lines.rows(rows), half, side, beta[rows])
+        inside = ((place >= 0) & (place < side)).all(dim=0)
+        i, j, k = place.clamp(0, side - 1)
+        cell[rows] = ((i * side + j) * side + k).masked_fill(~inside, side**3).int()
+    return _Level([root(side, beta.device)], [beta.new_ones(0)], cell, beta)
+
+
+def _refined(
+    lines: Lines, half: float, level: _Level, density: Float[Tensor, " cells"], segments: int, shards: Shards
+) -> _Level:
+    """The most probable segments of each line, each cut in two, and the halves of the cells that they cross."""
+    keep = min(segments, level.cell.shape[1])
+    above = level.cells[-1]
+    quarter = (half / above.side / 2) / lines.direction.abs().amax(dim=1, keepdim=True)
+    beta = level.beta.new_empty(len(level.beta), 2 * keep)
+    code = torch.empty_like(beta, dtype=torch.int32)
+    for rows in _blocks(*level.cell.shape):
+        # In the order along the line, whatever the order of equals.
+        best = torch.topk(_posterior(level, density, rows), keep, dim=1, sorted=False).indices.sort(dim=1).values
+        middle = level.beta[rows].gather(1, best)
+        beta[rows] = torch.stack([middle - quarter[rows], middle + quarter[rows]], dim=2).flatten(1)
+        parent = level.cell[rows].gather(1, best).repeat_interleave(2, dim=1)
+        place = _places(lines.rows(rows), half, 2 * above.side, beta[rows])
+        code[rows] = above.octants(parent.flatten(), place.flatten(1)).view(parent.shape)
+    cells, row = children(above, code, fitting(SAMPLES, _SAMPLE_BYTES), shards)
+    inherited = density.index_select(0, cells.parent)
+    shape = interpolate(inherited / 8, cells) / inherited.clamp_min(EMPTY)
+    return _Level([*level.cells[:-1], above.without_neighbors(), cells], [*level.shape, shape], row, beta)
+
+
+def _places(lines: Lines, half: float, side: int, beta: Float[Tensor, "lines m"]) -> Int[Tensor, "3 lines m"]:
+    """The cell indices of samples along the three axes."""
+    foot = lines.foot
+    place = [foot[:, axis, None] + beta * lines.direction[:, axis, None] for axis in range(3)]
+    # Far samples of the first level must not overflow.
+    return torch.stack([((x + half) * (side / (2 * half))).floor().clamp(-2, side + 1).int() for x in place])
+
+
+def _update(
+    level: _Level, density: Float[Tensor, " cells"], config: TomographyConfig, shards: Shards = ALONE
+) -> Float[Tensor, " cells"]:
+    """One EM update: forward projection, back projection, then the prior."""
+    mass = smooth(_back_projection(level, density, shards), level.cells[-1], config.smoothing)
+    return _shrink(mass, level.cells, level.shape, config.shrinkage)
+
+
+def _back_projection(
+    level: _Level, density: Float[Tensor, " cells"], shards: Shards = ALONE
+) -> Float[Tensor, " cells"]:
+    """The sum of what the lines spread, whatever their order: MLEM with a sensitivity of 1."""
+    # Apple's GPUs add up no integers of this size.
+    whole = density.dtype if density.device.type == "mps" else torch.int64
+    mass = torch.zeros(len(density) + 1, dtype=whole, device=density.device)
+    for rows in _blocks(*level.cell.shape):
+        spread = (_posterior(level, density, rows) / _GRAIN).to(whole)
+        mass.scatter_add_(0, level.cell[rows].flatten().long(), spread.flatten())
+    shards.sum(mass)
+    return mass[:-1].to(density.dtype) * _GRAIN
+
+
+def _posterior(level: _Level, density: Float[Tensor, " cells"], rows: slice) -> Float[Tensor, "rows m"]:
+    """Probability of each sample of the lines: the density there over the line's forward projection."""
+    along = _along(level, density, rows)
+    projection = along.sum(dim=1, keepdim=True)
+    return along / projection.clamp_min(torch.finfo(along.dtype).tiny)
+
+
+def _along(level: _Level, density: Float[Tensor, " cells"], rows: slice) -> Float[Tensor, "rows m"]:
+    cell = level.cell[rows]
+    return picked(_padded(density), cell)
+
+
+def _padded(density: Float[Tensor, " cells"]) -> Float[Tensor, " cells_and_outside"]:
+    """Density by row of the cells, and 0 for the row of samples outside the box."""
+    return torch.cat([density, density.new_zeros(1)])
+
+
+def _shrink(
+    mass: Float[Tensor, " cells"], cells: list[Cells], shape: list[Float[Tensor, " _"]], strength: float
+) -> Float[Tensor, " cells"]:
+    """Polya tree: a parent's own shrunk mass, divided among its children by their mass plus that of the prior.
+
+    The prior has mass ``strength`` in each parent, and the shape of the density of the level before, interpolated.
+    """
+    if len(cells) == 1 or strength == 0:
+        return mass
+    parent = cells[-1].parent
+    parents = total(mass, cells[-1], cells[-2])
+    gain = _shrink(parents, cells[:-1], shape[:-1], strength) / (parents + strength)
+    return gain.index_select(0, parent) * (mass + strength * shape[-1])
+
+
+def _crowd(density: Float[Tensor, " cells"]) -> Float[Tensor, ""]:
+    """Mass of the cell that a unit of mass is in, on average."""
+    return density.square().sum() / density.sum().clamp_min(torch.finfo(density.dtype).tiny)
+
+
+def _blocks(lines: int, samples: int) -> Iterator[slice]:
+    rows = max(1, fitting(SAMPLES, _SAMPLE_BYTES) // max(samples, 1))
+    for begin in range(0, lines, rows):
+        yield slice(begin, min(begin + rows, lines))

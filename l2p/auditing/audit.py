@@ -1,0 +1,287 @@
+"""The audit: what an attacker would get back of a map, at several shares of its points.
+
+A scene is lifted, attacked and scored against itself. A line cloud, whose points nobody knows, is attacked as it is,
+and what can be expected is read off the calibrated confidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+
+from l2p.attacks.run import recover
+from l2p.attacks.settings import CALIBRATED, DEFAULT_METHOD, SETTINGS
+from l2p.errors import InputError
+from l2p.judging.accuracy import Scores, errors, evaluate, spacing
+from l2p.judging.curves import COVERAGE, THRESHOLDS, Curves, measured, predicted
+from l2p.judging.provenance import machine, versions
+from l2p.maps.lines import LineCloud
+from l2p.maps.recovery import Recovery
+from l2p.maps.scene import Scene
+from l2p.schemes.uniform import lift_indexed
+from l2p.work.progress import NO_PROGRESS, Progress
+
+#: Shares of the points that are lifted unless others are asked for, from the whole map to a very sparse one.
+FRACTIONS = (1.0, 0.5, 0.1, 0.05)
+#: Version of the layout of ``audit.json``.
+AUDIT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the calibrated confidence lets expect, without the truth.
+
+    Attributes
+    ----------
+    within_spacing : float
+        Expected share of points within 1 spacing: the mean confidence.
+    confident_half : float
+        The same among the most confident half.
+    """
+
+    within_spacing: float
+    confident_half: float
+
+    @classmethod
+    def of(cls, confidence: Float[np.ndarray, " lines"]) -> Prediction:
+        """Read off the confidences of one recovery."""
+        ordered = np.sort(confidence.astype(np.float64))[::-1]
+        return cls(float(ordered.mean()), float(ordered[: (len(ordered) + 1) // 2].mean()))
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One attack of an audit.
+
+    Attributes
+    ----------
+    fraction : float
+        Share of the map's points that was lifted.
+    lines : LineCloud
+    recovery : Recovery
+        Without neighbours and affinities.
+    truth : (lines, 3) float64 or None
+        The points behind the lines, scene units; None if the audit was given a line cloud.
+    rgb : (lines, 3) uint8 or None
+        Colours of the points behind the lines, for pictures; the attack does not see them.
+    scores : Scores or None
+        None without the truth.
+    prediction : Prediction or None
+        None if the confidence of the method is no probability.
+    curves : Curves
+    """
+
+    fraction: float
+    lines: LineCloud
+    recovery: Recovery
+    truth: Float[np.ndarray, "lines 3"] | None
+    rgb: UInt8[np.ndarray, "lines 3"] | None
+    scores: Scores | None
+    prediction: Prediction | None
+    curves: Curves
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the attack."""
+        return float(self.recovery.info["seconds"])
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+
+@dataclass(frozen=True, eq=False)
+class Audit:
+    """What an audit found.
+
+    Attributes
+    ----------
+    name : str
+        Of the map, as the user knows it.
+    points : int
+        Points of the map; lines, if a line cloud was given.
+    spacing : float
+        Of the whole map, scene units; estimated from the recovered points if a line cloud was given.
+    trials : tuple of Trial
+        From the largest to the smallest fraction.
+    method : str
+    seed : int or None
+        Of the liftings; None if a line cloud was given.
+    metric : bool
+        The scene is in metres.
+    camera_centers : (cameras, 3) float64 or None
+        Where the scene has them, scene units.
+    """
+
+    name: str
+    points: int
+    spacing: float
+    trials: tuple[Trial, ...]
+    method: str
+    seed: int | None
+    metric: bool
+    camera_centers: Float[np.ndarray, "cameras 3"] | None = None
+
+    @property
+    def known(self) -> bool:
+        """Whether the points behind the lines are known, so that errors are measured and not predicted."""
+        return self.trials[0].truth is not None
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether the confidence is the probability of lying within 1 spacing."""
+        return self.method in CALIBRATED
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures, settings and versions as plain values, for a JSON file."""
+        return {
+            "version": AUDIT_VERSION,
+            "name": self.name,
+            "points": self.points,
+            "truth_known": self.known,
+            "spacing": self.spacing,
+            "metric": self.metric,
+            "seed": self.seed,
+            "method": self.method,
+            "versions": versions(),
+            "machine": {**machine(), "threads": torch.get_num_threads()},
+            "thresholds": list(THRESHOLDS),
+            "coverage": list(COVERAGE),
+            "trials": [_as_dict(trial) for trial in self.trials],
+        }
+
+
+def audit(
+    scene: Scene | LineCloud | Float[np.ndarray, "points 3"],
+    fractions: Sequence[float] | None = None,
+    seed: int = 0,
+    *,
+    method: str = DEFAULT_METHOD,
+    checkpoint: str | PathLike[str] | None = None,
+    metric: bool = False,
+    device: str = "cpu",
+    memory: float | None = None,
+    progress: Progress = NO_PROGRESS,
+    name: str = "map",
+) -> Audit:
+    """Tell what an attacker would get back of a map, if its line cloud were published.
+
+    Parameters
+    ----------
+    scene : Scene, (points, 3) array or LineCloud
+        A scene or its points are lifted, attacked and scored. A line cloud is attacked as it is.
+    fractions : sequence of float, optional
+        Shares of the points to lift, in (0, 1]; :data:`FRACTIONS` when left out. Not with a line cloud.
+    seed : int
+        Of the liftings. No line cloud of the audit is kept: one that is published is lifted without a seed.
+    method, checkpoint, device, memory
+        As of :func:`l2p.recover`.
+    metric : bool
+        The scene is in metres.
+    progress : Progress
+        Shows how far the work is; the smallest fraction comes first, so that the rate is soon known.
+    name : str
+        Of the map, for the report.
+
+    Returns
+    -------
+    Audit
+        ``l2p.save_report(audit, "report")`` writes it as a page to look at.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such checkpoint.
+    InputError
+        If a fraction is out of range or does not fit, the points have no extent, or :func:`l2p.recover` refuses.
+
+    Examples
+    --------
+    >>> import l2p
+    >>> found = l2p.audit(l2p.simulate("room", 200).xyz, fractions=[1, 0.5], method="tomography")
+    >>> [len(trial) for trial in found.trials]
+    [200, 100]
+    """
+    settings = {"method": method, "checkpoint": checkpoint, "device": device, "memory": memory}
+    if isinstance(scene, LineCloud):
+        if fractions is not None:
+            raise InputError("got fractions for a line cloud; expected none, since it is attacked as it is")
+        return _audit_lines(scene, settings, metric, progress, name)
+    scene = scene if isinstance(scene, Scene) else Scene(scene)
+    wanted = _fractions(FRACTIONS if fractions is None else fractions)
+    scale = spacing(scene.xyz)
+    trials: list[Trial] = []
+    with progress.task("lines attacked", total=sum(max(1, round(len(scene) * share)) for share in wanted)) as advance:
+        for share in wanted:
+            trials.append(_trial(scene, share, seed, scale, settings, metric, progress))
+            advance(len(trials[-1]))
+    return Audit(name, len(scene), scale, tuple(trials[::-1]), method, seed, metric, scene.camera_centers)
+
+
+def _fractions(wanted: Sequence[float]) -> list[float]:
+    """The fractions, each once, from the smallest to the largest."""
+    bad = [share for share in wanted if not 0 < share <= 1]
+    if bad or not len(wanted):
+        got = f"fraction {bad[0]}" if bad else "no fraction"
+        raise InputError(f"got {got}; expected numbers in (0, 1], the shares of the points to lift")
+    return sorted({float(share) for share in wanted})
+
+
+def _trial(
+    scene: Scene,
+    fraction: float,
+    seed: int,
+    scale: float,
+    settings: dict[str, Any],
+    metric: bool,
+    progress: Progress,
+) -> Trial:
+    """Lift a share of the scene, attack it, and score the attack."""
+    lines, index = lift_indexed(scene.xyz, seed=seed, fraction=fraction)
+    recovery = _attack(lines, fraction, settings, progress)
+    truth, rgb = scene.xyz[index], None if scene.rgb is None else scene.rgb[index]
+    calibrated = settings["method"] in CALIBRATED
+    error = errors(recovery.xyz, truth) / scale
+    return Trial(
+        fraction,
+        lines,
+        recovery,
+        truth,
+        rgb,
+        evaluate(recovery, truth, scale, metric=metric),
+        Prediction.of(recovery.confidence) if calibrated else None,
+        measured(error, recovery.confidence, calibrated=calibrated),
+    )
+
+
+def _audit_lines(lines: LineCloud, settings: dict[str, Any], metric: bool, progress: Progress, name: str) -> Audit:
+    """Attack a line cloud whose points nobody knows."""
+    recovery = _attack(lines, 1.0, settings, progress)
+    calibrated = settings["method"] in CALIBRATED
+    curves = predicted(recovery.confidence) if calibrated else Curves([], [], [], [])
+    prediction = Prediction.of(recovery.confidence) if calibrated else None
+    trial = Trial(1.0, lines, recovery, None, lines.rgb, None, prediction, curves)
+    return Audit(name, len(lines), spacing(recovery.xyz), (trial,), settings["method"], None, metric)
+
+
+def _attack(lines: LineCloud, fraction: float, settings: dict[str, Any], progress: Progress) -> Recovery:
+    """The attack, told the density if it asks for it; what only its own rounds need is let go."""
+    density = fraction if settings["method"] in SETTINGS["density"] else None
+    recovery = recover(lines, density=density, progress=progress, **settings)
+    return replace(recovery, neighbors=None, affinity=None)
+
+
+def _as_dict(trial: Trial) -> dict[str, Any]:
+    return {
+        "fraction": trial.fraction,
+        "lines": len(trial),
+        "attack": trial.recovery.info,
+        "scores": None if trial.scores is None else trial.scores.as_dict(),
+        "prediction": None if trial.prediction is None else asdict(trial.prediction),
+        "curves": trial.curves.as_dict(),
+    }

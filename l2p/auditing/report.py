@@ -1,0 +1,196 @@
+"""The report of an audit: a folder with a page to look at and a file with all figures."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, NamedTuple
+
+from l2p.auditing.audit import Audit, Trial
+from l2p.auditing.charts import charts
+from l2p.auditing.words import headline, sparser, typical
+from l2p.io.atomic import atomic_folder
+from l2p.judging.accuracy import errors
+from l2p.show.exhibit import Exhibit
+from l2p.show.page import MOST_POINTS
+from l2p.show.page.numbers import count, fraction, length, percent
+from l2p.show.page.render import render
+
+#: What the folder holds.
+PAGE, FIGURES = FILES = ("index.html", "audit.json")
+_TABLE_SPACINGS = ("0.25", "0.5", "1", "2")
+
+
+class Head(NamedTuple):
+    """The heading of one column, or of several that have headings of their own ``under`` it."""
+
+    text: str
+    under: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the page; the first cell of each row is its heading."""
+
+    heading: str
+    heads: Sequence[Head]
+    rows: Sequence[Sequence[str]]
+    note: str
+
+    @property
+    def grouped(self) -> bool:
+        """Whether the headings take two rows."""
+        return any(head.under for head in self.heads)
+
+
+def save_report(
+    audit: Audit,
+    folder: str | PathLike[str],
+    *,
+    overwrite: bool = False,
+    command: str | None = None,
+    most_points: int = MOST_POINTS,
+) -> None:
+    """Write the report; see :meth:`l2p.auditing.audit.Audit.save`. ``most_points`` of each cloud are in the view."""
+    with atomic_folder(folder, overwrite=overwrite, replaceable=frozenset(FILES)) as place:
+        figures = figures_of(audit, command)
+        (place / FIGURES).write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        (place / PAGE).write_bytes(report_page(audit, command, most_points))
+
+
+def figures_of(audit: Audit, command: str | None = None) -> dict[str, Any]:
+    """Everything that ``audit.json`` holds."""
+    return {**audit.as_dict(), "command": command}
+
+
+def report_page(audit: Audit, command: str | None = None, most_points: int = MOST_POINTS) -> bytes:
+    """The page of an audit, UTF-8."""
+    exhibits = [(fraction(trial.fraction), _exhibit(trial, audit)) for trial in audit.trials]
+    return render(
+        "audit.html",
+        f"Privacy audit of {audit.name}",
+        exhibits,
+        most_points,
+        audit=audit,
+        headline=headline(audit),
+        typical=typical(audit),
+        sparser=sparser(audit),
+        tables=_tables(audit),
+        charts=charts(audit),
+        spacing=length(audit.spacing, audit.metric),
+        seconds=_duration(audit.trials[0].seconds),
+        own_colors=audit.trials[0].rgb is not None,
+        command=command,
+        facts=_facts(audit),
+    )
+
+
+def _exhibit(trial: Trial, audit: Audit) -> Exhibit:
+    """The layers of one attack."""
+    recovery, truth = trial.recovery, trial.truth
+    return Exhibit(
+        points=truth,
+        lines=trial.lines,
+        recovered=recovery.xyz,
+        rgb=trial.rgb,
+        confidence=recovery.confidence,
+        calibrated=audit.calibrated,
+        error=None if truth is None else errors(recovery.xyz, truth) / audit.spacing,
+        camera_centers=audit.camera_centers,
+    )
+
+
+def _tables(audit: Audit) -> list[Table]:
+    if not audit.known:
+        return [_predicted_table(audit)]
+    return [_measured_table(audit), *([_metric_table(audit)] if audit.metric else [])]
+
+
+def _measured_table(audit: Audit) -> Table:
+    heads = [Head("Points published"), Head("Lines"), Head("Median error (spacings)")]
+    heads += [Head("Recovered within … spacings", _TABLE_SPACINGS)]
+    note = (
+        "Recovered within: share of the published points that come out at most so far from their true place. Confident "
+        "half: the same of the half of the points that the attack is most confident of. "
+    )
+    if audit.calibrated:
+        heads += [Head("Within 1 spacing", ("confident half", "as predicted")), Head("Calibration error")]
+        note += (
+            "As predicted: what an attacker, who does not know the truth, would expect. Calibration error: mean gap "
+            "between the confidence and the share that is right, in groups of equal confidence; 0 is best."
+        )
+    else:
+        heads += [Head("Within 1 spacing", ("confident half",))]
+        note += f"The confidence of the method {audit.method} ranks points and is no probability."
+    heads += [Head("Seconds")]
+    return Table("By share of the points", heads, [_measured_row(trial) for trial in audit.trials], note)
+
+
+def _measured_row(trial: Trial) -> list[str]:
+    scores, prediction = trial.scores, trial.prediction
+    assert scores is not None
+    row = [fraction(trial.fraction), count(len(trial)), f"{scores.median_spacings:.2f}"]
+    row += [percent(scores.within_spacings[limit]) for limit in _TABLE_SPACINGS]
+    row += [percent(scores.confident_half)]
+    if prediction is not None:
+        row += [percent(prediction.within_spacing), f"{scores.calibration_error:.3f}"]
+    return [*row, f"{trial.seconds:.1f}"]
+
+
+def _metric_table(audit: Audit) -> Table:
+    limits = list(audit.trials[0].scores.within_cm) if audit.trials[0].scores else []
+    rows = [
+        [fraction(trial.fraction), length(trial.scores.median, True)]
+        + [percent(share) for share in trial.scores.within_cm.values()]
+        for trial in audit.trials
+        if trial.scores is not None
+    ]
+    heads = [Head("Points published"), Head("Median error"), Head("Recovered within … cm", tuple(limits))]
+    return Table("In centimetres", heads, rows, "These lengths are right if the units of the map are metres.")
+
+
+def _predicted_table(audit: Audit) -> Table:
+    trial = audit.trials[0]
+    heads = [Head("Lines"), Head("1 spacing, estimated")]
+    row = [count(len(trial)), length(audit.spacing, audit.metric)]
+    note = "The spacing is that of the recovered points, which is usually a little below that of the map."
+    if trial.prediction is not None:
+        heads += [Head("Expected within 1 spacing", ("all points", "confident half"))]
+        row += [percent(trial.prediction.within_spacing), percent(trial.prediction.confident_half)]
+        note = f"The expected share is the mean confidence, also of the most confident half. {note}"
+    heading = "Not measured" if trial.prediction is None else "Predicted, not measured"
+    return Table(heading, [*heads, Head("Seconds")], [[*row, f"{trial.seconds:.1f}"]], note)
+
+
+def _facts(audit: Audit) -> list[tuple[str, str]]:
+    """What was run, where and when."""
+    settings = audit.trials[0].recovery.info["settings"]
+    figures = audit.as_dict()
+    where = figures["machine"]
+    weights = f"{settings['checkpoint']}, SHA-256 begins with {settings['digest']}" if "checkpoint" in settings else ""
+    memory = "" if where["memory_gib"] is None else f", {where['memory_gib']:g} GiB"
+    facts = [
+        ("Given", f"{audit.name}: {count(audit.points)} {'points' if audit.known else 'lines'}"),
+        ("Method", audit.method),
+        ("Checkpoint", weights),
+        ("Seed of the line clouds", "" if audit.seed is None else str(audit.seed)),
+        ("Versions", ", ".join(f"{name} {version}" for name, version in figures["versions"].items())),
+        ("Machine", f"{where['processor']}, {where['threads']} of {where['cores']} cores{memory}, {where['system']}"),
+        ("Date", datetime.datetime.now(datetime.timezone.utc).date().isoformat()),
+    ]
+    return [(what, value) for what, value in facts if value]
+
+
+def _duration(seconds: float) -> str:
+    """
+    >>> _duration(0.3), _duration(42), _duration(600)
+    ('less than a second', '42 seconds', '10 minutes')
+    """
+    if seconds < 1:
+        return "less than a second"
+    if seconds < 120:
+        return f"{seconds:.0f} second{'s' if round(seconds) != 1 else ''}"
+    return f"{seconds / 60:.0f} minutes"

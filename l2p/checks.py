@@ -1,0 +1,40 @@
+"""Checks of arrays that come from users: one sentence each."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from l2p.errors import InputError
+
+#: Coordinates reach no farther from zero: products of a few of them are finite, also in single precision once they
+#: are counted in the size of the scene.
+FARTHEST = 1e30
+
+
+#: What a number is that fails :func:`in_range`.
+OUT_OF_RANGE = "NaN, infinite or beyond 1e30"
+
+
+def finite_rows(name: str, value: object) -> Float[np.ndarray, "lines 3"]:
+    """``value`` as a fresh (lines, 3) float64 array of numbers in range."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"got {name} of type {array.dtype}; expected numbers")
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"got {name} of shape {array.shape}; expected (lines, 3)")
+    array = array.astype(np.float64)
+    _refuse(np.asarray(~in_range(array).all(axis=1)), f"{name} that is {OUT_OF_RANGE}", "remove the line")
+    return array
+
+
+def in_range(array: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
+    """Which numbers are finite and of a size that can be computed with."""
+    return np.abs(array) <= FARTHEST
+
+
+def _refuse(bad: np.ndarray, what: str, mend: str) -> None:
+    """Raise for the first line that ``bad`` marks."""
+    if bad.any():
+        found = f"got {int(bad.sum())} line(s) with a {what}, first at line {int(np.argmax(bad))}"
+        raise InputError(f"{found}; {mend} (lines are counted from 0)")

@@ -1,0 +1,208 @@
+"""What the commands of ``l2p`` do: check the outputs first, then read, work, and write all of it or nothing."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import tempfile
+import webbrowser
+from argparse import Namespace
+from collections.abc import Iterable
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Int, UInt8
+
+from l2p.attacks.settings import RANKING
+from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
+from l2p.cli.recover import recover as recover
+from l2p.errors import InputError
+from l2p.io.atomic import atomic_file, check_folder
+from l2p.io.kinds import LINE_CLOUDS, kind_of
+from l2p.io.line_files import line_ending, load_lines, save_lines
+from l2p.io.recovery_files import load_recovery
+from l2p.io.scene_files import load_scene, load_truth, truth_bytes
+from l2p.judging.accuracy import evaluate as score
+from l2p.judging.accuracy import spacing
+from l2p.maps.recovery import Recovery
+from l2p.maps.scene import Scene
+from l2p.maps.truth import Truth
+from l2p.schemes.uniform import lift_indexed
+from l2p.show.tables import print_info, print_scores
+from l2p.work.progress import terminal_progress
+
+
+def lift(arguments: Namespace) -> None:
+    """``l2p lift``."""
+    check_outputs([arguments.scene], [arguments.output, arguments.truth], arguments.force)
+    line_ending(arguments.output)
+    scene = load_scene(arguments.scene)
+    cloud, index = lift_indexed(
+        scene.xyz,
+        seed=arguments.seed,
+        fraction=arguments.fraction,
+        scheme=arguments.scheme,
+        rgb=_colours(arguments, scene.rgb),
+    )
+    with ExitStack() as stack:
+        if arguments.truth is not None:
+            # Renamed after the lines are in place, so that a failure leaves neither.
+            file = stack.enter_context(atomic_file(arguments.truth, overwrite=arguments.force))
+            file.write(truth_bytes(_truth(scene, index, arguments.seed)))
+        save_lines(cloud, arguments.output, overwrite=arguments.force)
+    print(f"{arguments.output}: {len(cloud)} lines of {len(scene)} points")
+
+
+def evaluate(arguments: Namespace) -> None:
+    """``l2p evaluate``."""
+    check_outputs([arguments.recovery, arguments.truth], [file_of(arguments.json)], arguments.force)
+    recovery, truth = load_recovery(arguments.recovery), load_truth(arguments.truth)
+    columns = {"all": score(recovery, truth.xyz, truth.spacing, metric=arguments.metric)}
+    if recovery.kept is not None and recovery.kept.any():
+        some = _rows(recovery, recovery.kept)
+        columns["kept"] = score(some, truth.xyz[recovery.kept], truth.spacing, metric=arguments.metric)
+    with figures_file(arguments, {name: scores.as_dict() for name, scores in columns.items()}):
+        pass
+    if arguments.json != "-":
+        print_scores(columns, calibrated=recovery.info.get("method") not in RANKING)
+
+
+def audit(arguments: Namespace) -> None:
+    """``l2p audit``."""
+    from l2p.auditing.audit import audit as examine
+    from l2p.auditing.report import FILES, PAGE, figures_of, save_report
+    from l2p.auditing.words import headline, sparser, typical
+
+    _check_report(arguments, FILES)
+    lines_given = kind_of(arguments.scene) in LINE_CLOUDS
+    scene = load_lines(arguments.scene) if lines_given else load_scene(arguments.scene)
+    set_threads(arguments.threads)
+    found = examine(
+        scene,
+        arguments.fractions,
+        arguments.seed,
+        method=arguments.method,
+        checkpoint=arguments.checkpoint,
+        metric=arguments.metric,
+        device=arguments.device,
+        memory=arguments.memory,
+        progress=terminal_progress(),
+        name=_shown(arguments.scene),
+    )
+    command = _audit_command(arguments, lines_given)
+    with figures_file(arguments, figures_of(found, command)):
+        save_report(
+            found,
+            arguments.output,
+            overwrite=arguments.force,
+            command=command,
+            most_points=arguments.max_view_points,
+        )
+    if arguments.json != "-":
+        if found.known:
+            columns = {f"{100 * trial.fraction:g} %": trial.scores for trial in found.trials if trial.scores}
+            print_scores(columns, calibrated=found.calibrated)
+        for sentence in filter(None, (headline(found), typical(found), sparser(found))):
+            print(sentence.replace("\N{NO-BREAK SPACE}", " "))
+        print(f"The report is {Path(arguments.output) / PAGE}")
+    if arguments.open:
+        _open(Path(arguments.output) / PAGE)
+
+
+def view(arguments: Namespace) -> None:
+    """``l2p view``."""
+    from l2p.show.exhibit import Exhibit
+    from l2p.show.page.file_view import view_page
+    from l2p.show.window import check_window, show
+
+    if arguments.window and arguments.output is not None:
+        raise InputError(f"got --window and -o {arguments.output}; expected one of them")
+    if arguments.window:
+        check_window()
+    check_outputs([arguments.file], [arguments.output], arguments.force)
+    exhibit, name = Exhibit.load(arguments.file), _shown(arguments.file)
+    if arguments.window:
+        show(exhibit, name)
+        return
+    page = view_page(exhibit, name, kind_of(arguments.file).value)
+    output = arguments.output or os.path.join(tempfile.mkdtemp(prefix="l2p-view-"), "view.html")
+    with atomic_file(output, overwrite=arguments.force) as file:
+        file.write(page)
+    print(output)
+    if arguments.output is None or arguments.open:
+        _open(Path(output))
+
+
+def _open(page: Path) -> None:
+    """Show a page in the browser, where there is a display."""
+    from l2p.show.window import has_display
+
+    if has_display():
+        webbrowser.open(page.resolve().as_uri())
+
+
+def info(arguments: Namespace) -> None:
+    """``l2p info``."""
+    print_info(arguments.file)
+
+
+def demo(arguments: Namespace) -> None:
+    """``l2p demo``."""
+    from l2p.cli.demo import run
+
+    run(
+        arguments.output,
+        arguments.points,
+        arguments.seed,
+        terminal_progress(),
+        overwrite=arguments.force,
+    )
+
+
+def _colours(arguments: Namespace, rgb: UInt8[np.ndarray, "points 3"] | None) -> UInt8[np.ndarray, "points 3"] | None:
+    if arguments.rgb and rgb is None:
+        raise InputError(f"{arguments.scene} has no colours; leave out --rgb")
+    return rgb if arguments.rgb else None
+
+
+def _truth(scene: Scene, index: Int[np.ndarray, " lines"], seed: int | None) -> Truth:
+    ids = None if scene.ids is None else scene.ids[index]
+    return Truth(scene.xyz[index], index, spacing(scene.xyz), ids, seed)
+
+
+def _check_report(arguments: Namespace, files: Iterable[str]) -> None:
+    """Everything about an audit that can be refused before the scene is read."""
+    inputs = [path for path in (arguments.scene, arguments.checkpoint) if path is not None]
+    check_outputs(inputs, [file_of(arguments.json)], arguments.force)
+    check_folder(arguments.output, overwrite=arguments.force, replaceable=frozenset(files))
+    report = Path(os.path.realpath(arguments.output))
+    for path in (*inputs, file_of(arguments.json)):
+        if path is not None and Path(os.path.realpath(path)).is_relative_to(report):
+            raise InputError(f"{path} is in {arguments.output}; expected a report folder with nothing else in it")
+    check_threads(arguments.threads)
+    if arguments.max_view_points < 1:
+        raise InputError(f"got --max-view-points {arguments.max_view_points}; expected at least 1")
+
+
+def _audit_command(arguments: Namespace, lines_given: bool) -> str:
+    """The command line that gives this audit again."""
+    words = ["l2p", "audit", arguments.scene, "-o", arguments.output]
+    if arguments.fractions is not None:
+        words += ["--fractions", *(f"{share:.15g}" for share in arguments.fractions)]
+    words += [] if lines_given else ["--seed", str(arguments.seed)]
+    words += ["--method", arguments.method]
+    for flag in ("checkpoint", "device", "threads", "memory"):
+        value = getattr(arguments, flag)
+        words += [] if value is None else [f"--{flag}", str(value)]
+    words += ["--metric"] if arguments.metric else []
+    return _shown(shlex.join(words))
+
+
+def _shown(path: str) -> str:
+    """A path as text; its bytes need be none."""
+    return os.fsencode(path).decode("utf-8", errors="replace")
+
+
+def _rows(recovery: Recovery, kept: Bool[np.ndarray, " lines"]) -> Recovery:
+    return Recovery(recovery.xyz[kept], recovery.confidence[kept], recovery.beta[kept])

@@ -1,0 +1,278 @@
+"""The command ``l2p``: flags and exit codes; the work is in :mod:`l2p.cli.commands`, loaded when a command runs."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from l2p.attacks.settings import DEFAULT_METHOD, METHODS, SCENE_KINDS
+from l2p.errors import InputError, LostProcessError, sentence
+from l2p.show.page import MOST_POINTS
+from l2p.version import __version__
+
+#: Exit codes: a process that shared the work has died, the user's error, and Ctrl-C (128 + SIGINT).
+LOST, USER_ERROR, INTERRUPTED = 1, 2, 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and give its exit code: 0 done, 1 when a process that shared the work has died, 2 for a user's
+    error, 130 after Ctrl-C."""
+    arguments = _parser().parse_args(argv)
+    arguments.words = sys.argv[1:] if argv is None else list(argv)
+    # Threads that wait should sleep: on a machine that is busy, those that spin take several times as long.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # Of a lost process torch would tell in pages.
+    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "FATAL")
+    try:
+        from l2p.cli import commands
+
+        getattr(commands, arguments.command)(arguments)
+    except (InputError, OSError) as error:
+        _complain(sentence(error))
+        return USER_ERROR
+    except LostProcessError as error:
+        _complain(sentence(error))
+        return LOST
+    except KeyboardInterrupt:
+        print(f"l2p: interrupted; {_left(arguments)}", file=sys.stderr)
+        return INTERRUPTED
+    return 0
+
+
+def _left(arguments: argparse.Namespace) -> str:
+    """What an interrupted command leaves behind."""
+    if arguments.command == "recover":
+        from l2p.io.state_files import state_path
+
+        if state_path(arguments.output).exists():
+            return f"start again with --resume to go on from the finished rounds in {state_path(arguments.output)}"
+    return "nothing was written"
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that complains in one line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        _complain(f"{message} (see {self.prog} --help)")
+        raise SystemExit(USER_ERROR)
+
+
+def _complain(said: str) -> None:
+    print("l2p: error:", " ".join(said.split()), file=sys.stderr)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="l2p", description="Lift points to lines, and recover the points behind a line cloud.")
+    parser.add_argument("--version", action="version", version=f"l2p {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for add in (_add_lift, _add_recover, _add_evaluate, _add_audit, _add_view, _add_info, _add_demo):
+        add(commands)
+    return parser
+
+
+def _command(commands: Any, name: str, what: str) -> argparse.ArgumentParser:
+    return commands.add_parser(name, help=what, description=what[0].upper() + what[1:] + ".")
+
+
+def _add_lift(commands: Any) -> None:
+    lift = _command(commands, "lift", "replace the points of a scene by lines through them")
+    lift.add_argument("scene", metavar="SCENE", help="COLMAP model folder (bin or txt), PLY, or npz with xyz")
+    lift.add_argument(
+        "-o", dest="output", metavar="LINES.npz", required=True, help="line cloud to write; .ply and .obj to look at"
+    )
+    lift.add_argument("--truth", metavar="TRUTH.npz", help="also write the points, in the order of the lines")
+    lift.add_argument(
+        "--fraction", type=float, default=1.0, metavar="F", help="share of the points, in (0, 1] (default: %(default)s)"
+    )
+    lift.add_argument(
+        "--scheme", default="uniform", metavar="NAME", help="how directions are drawn (default: %(default)s)"
+    )
+    lift.add_argument(
+        "--seed",
+        type=_seed,
+        metavar="S",
+        help="seed of the directions and the subset; without it a fresh one comes from the system and is kept nowhere: "
+        "whoever can guess the seed can redraw the directions and learn which line belongs to which point, so leave "
+        "it out for a line cloud that is published",
+    )
+    lift.add_argument("--rgb", action="store_true", help="store the colours of the points, which help an attacker")
+    _add_force(lift)
+
+
+def _add_recover(commands: Any) -> None:
+    recover = _command(commands, "recover", "recover the points behind a line cloud")
+    recover.add_argument("lines", metavar="LINES", help="line cloud: npz, PLY or OBJ line set, text of x y z dx dy dz")
+    recover.add_argument(
+        "-o",
+        dest="output",
+        metavar="OUT",
+        required=True,
+        help="OUT.npz (every line, in order), OUT.ply (with confidence), or a folder for a COLMAP model",
+    )
+    recover.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help="the attack (default: %(default)s)")
+    recover.add_argument(
+        "--checkpoint",
+        metavar="FILE",
+        help="learned only: weights that python -m train wrote (default: those installed with l2p)",
+    )
+    recover.add_argument(
+        "--scene-kind", choices=SCENE_KINDS, help="heuristic only: neighbour counts to use (default: indoor)"
+    )
+    recover.add_argument(
+        "--density",
+        type=float,
+        metavar="F",
+        help="learned and heuristic: share of the scene's points that the lines hold, in (0, 1] (default: 1); the "
+        "heuristic chooses its neighbour counts by it, learned the distance that its confidence is about",
+    )
+    recover.add_argument(
+        "--rounds",
+        type=int,
+        metavar="R",
+        help="rounds of refinement (default: the method's own, which is the most that learned has)",
+    )
+    _add_filters(recover)
+    recover.add_argument("--model", metavar="MODEL", help="for a COLMAP model: the model that was lifted")
+    recover.add_argument(
+        "--truth", metavar="TRUTH.npz", help="for a COLMAP model: which line is which point id (nothing else is used)"
+    )
+    recover.add_argument("--device", default="cpu", help="torch device (default: %(default)s)")
+    recover.add_argument(
+        "--seed", type=_seed, metavar="S", help="kept with the result; no method of today draws random numbers"
+    )
+    recover.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
+    recover.add_argument(
+        "--processes",
+        type=int,
+        metavar="P",
+        help="share the lines out over so many processes of this machine; torchrun does it over several machines",
+    )
+    recover.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on from the last finished round of a run that was ended, which OUT.state has; without one, begin",
+    )
+    _add_memory(recover)
+    _add_json(recover, "STATS", "settings, seconds and confidences")
+    _add_force(recover)
+
+
+def _add_filters(recover: argparse.ArgumentParser) -> None:
+    recover.add_argument(
+        "--min-confidence",
+        type=float,
+        metavar="C",
+        help="drop less confident points from a PLY or COLMAP model; an npz, which keeps the order of the lines, "
+        "marks the others in its array kept. In [0, 1]: with learned the probability of lying within one spacing, "
+        "with other methods a number that only ranks",
+    )
+    recover.add_argument(
+        "--clean",
+        action="store_true",
+        help="drop outliers among the recovered points in the same way (Open3D; 50 neighbours, then 25; 2 sigma)",
+    )
+
+
+def _add_evaluate(commands: Any) -> None:
+    evaluate = _command(commands, "evaluate", "measure a recovery against the truth")
+    evaluate.add_argument("recovery", metavar="OUT.npz", help="recovery that l2p recover wrote")
+    evaluate.add_argument("truth", metavar="TRUTH.npz", help="truth that l2p lift --truth wrote")
+    evaluate.add_argument("--metric", action="store_true", help="the scene is in metres: also count within 1 to 50 cm")
+    _add_json(evaluate, "FILE", "the figures")
+    _add_force(evaluate)
+
+
+def _add_audit(commands: Any) -> None:
+    audit = _command(commands, "audit", "tell what could be got back of a map, as a page to look at")
+    audit.add_argument(
+        "scene", metavar="SCENE", help="COLMAP model folder, PLY or npz; or a line cloud, of which less can be told"
+    )
+    audit.add_argument(
+        "-o", dest="output", metavar="REPORT_DIR", required=True, help="folder to write: index.html, audit.json"
+    )
+    audit.add_argument(
+        "--fractions",
+        type=float,
+        nargs="+",
+        metavar="F",
+        help="shares of the points to publish, in (0, 1] (default: 1 0.5 0.1 0.05); not with a line cloud",
+    )
+    audit.add_argument(
+        "--seed", type=_seed, default=0, metavar="S", help="seed of the line clouds (default: %(default)s)"
+    )
+    audit.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help="the attack (default: %(default)s)")
+    audit.add_argument(
+        "--checkpoint", metavar="FILE", help="learned only: other weights (default: those installed with l2p)"
+    )
+    audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
+    audit.add_argument(
+        "--max-view-points",
+        type=int,
+        default=MOST_POINTS,
+        metavar="N",
+        help="points of each cloud that the page draws; the figures count all (default: %(default)s)",
+    )
+    audit.add_argument("--open", action="store_true", help="show the page in the browser, where there is a display")
+    audit.add_argument("--device", default="cpu", help="torch device (default: %(default)s)")
+    audit.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
+    _add_memory(audit)
+    _add_json(audit, "FILE", "the figures of audit.json")
+    _add_force(audit)
+
+
+def _add_view(commands: Any) -> None:
+    view = _command(commands, "view", "show a scene, a line cloud or a recovery on a page")
+    view.add_argument("file", metavar="FILE", help="a scene, line cloud, recovery or truth, or a COLMAP model folder")
+    view.add_argument(
+        "-o",
+        dest="output",
+        metavar="PAGE.html",
+        help="page to write (default: one in the folder of temporary files, shown in the browser)",
+    )
+    view.add_argument("--open", action="store_true", help="show the page of -o in the browser, too")
+    view.add_argument("--window", action="store_true", help="open a window instead (Open3D; needs a display)")
+    _add_force(view)
+
+
+def _add_info(commands: Any) -> None:
+    info = _command(commands, "info", "say what a file is: scene, line cloud, recovery, truth or checkpoint")
+    info.add_argument("file", metavar="FILE", help="any file that l2p reads, or a COLMAP model folder")
+
+
+def _add_demo(commands: Any) -> None:
+    demo = _command(commands, "demo", "simulate a room, lift it, recover it, and draw what an attacker sees")
+    demo.add_argument("-o", dest="output", metavar="DIR", required=True, help="folder to write")
+    demo.add_argument(
+        "--points", type=int, default=20_000, metavar="N", help="points in the room (default: %(default)s)"
+    )
+    demo.add_argument("--seed", type=_seed, default=3, metavar="S", help="seed of the room (default: %(default)s)")
+    _add_force(demo)
+
+
+def _seed(word: str) -> int:
+    """A number that random generators take and files hold."""
+    value = int(word) if word.strip().isdecimal() else -1
+    if not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"got {word}; expected 0 to 2^63 - 1")
+    return value
+
+
+def _add_memory(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--memory",
+        type=float,
+        metavar="GIB",
+        help="most memory that the attack may take beyond what the program holds anyway; sets how much is done at a "
+        "time, never what comes out (default: four fifths of what is free)",
+    )
+
+
+def _add_json(command: argparse.ArgumentParser, metavar: str, what: str) -> None:
+    command.add_argument("--json", metavar=metavar, help=f"write {what} as JSON; - is stdout, in place of the table")
+
+
+def _add_force(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--force", action="store_true", help="replace outputs that exist")

@@ -1,0 +1,59 @@
+"""What the commands of ``l2p`` share: outputs that are checked first, figures as JSON, threads."""
+
+from __future__ import annotations
+
+import json
+import os
+from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from l2p.errors import InputError
+from l2p.io.atomic import atomic_file, check_file
+
+
+def check_outputs(inputs: list[str], outputs: list[str | None], force: bool) -> None:
+    """Refuse, before any work, outputs that must not be written, or that are inputs or each other."""
+    taken = {os.path.realpath(path) for path in inputs}
+    for path in outputs:
+        if path is None:
+            continue
+        if os.path.realpath(path) in taken:
+            raise InputError(f"got {path} twice; expected every output to be a file of its own")
+        taken.add(os.path.realpath(path))
+        check_file(path, overwrite=force)
+
+
+def file_of(json_path: str | None) -> str | None:
+    return None if json_path == "-" else json_path
+
+
+@contextmanager
+def figures_file(arguments: Namespace, figures: dict[str, Any]) -> Iterator[None]:
+    """Write the figures where --json says, once what the block writes is in place."""
+    text = json.dumps(figures, indent=2) + "\n"
+    if arguments.json in (None, "-"):
+        yield
+        if arguments.json == "-":
+            print(text, end="")
+        return
+    with atomic_file(arguments.json, overwrite=arguments.force) as file:
+        file.write(text.encode("utf-8"))
+        yield
+
+
+def check_threads(threads: int | None) -> None:
+    if threads is None:
+        return
+    from l2p.work.threads import MOST_THREADS
+
+    if not 1 <= threads <= MOST_THREADS:
+        raise InputError(f"got --threads {threads}; expected at least 1, at most {MOST_THREADS}")
+
+
+def set_threads(threads: int | None) -> None:
+    if threads is not None:
+        import torch
+
+        torch.set_num_threads(threads)

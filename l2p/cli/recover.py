@@ -1,0 +1,198 @@
+"""``l2p recover``: by one process, or by several that share the lines; from the start, or from a finished round."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Int
+
+from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
+from l2p.errors import InputError
+from l2p.io.colmap import check_ids, check_model_output, save_recovered_model
+from l2p.io.line_files import load_lines
+from l2p.io.open3d import load_open3d
+from l2p.io.recovery_files import save_recovery
+from l2p.io.scene_files import load_truth
+from l2p.io.state_files import StateFile, state_path
+from l2p.judging.clean import inliers
+from l2p.maps.lines import LineCloud
+from l2p.maps.recovery import Recovery
+from l2p.work.progress import terminal_progress
+
+if TYPE_CHECKING:
+    from l2p.attacks.attack import Method
+    from l2p.work.processes import Place
+
+#: More processes than any machine has cores.
+MOST_PROCESSES = 1024
+
+
+def recover(arguments: Namespace) -> None:
+    """``l2p recover``: alone, by processes that are started here, or as one of those that were started elsewhere."""
+    from l2p.work.processes import among_others, joined, launch
+
+    if arguments.processes not in (None, 1) and not among_others():
+        _check_recover(arguments)
+        code = launch(arguments.words, arguments.processes)
+        if code:
+            raise SystemExit(code)
+        return
+    with joined(arguments.device) as place:
+        if place.shards.rank == 0:
+            _recover(arguments, place)
+        else:
+            from l2p.attacks.run import assist
+
+            set_threads(arguments.threads)
+            assist(_method(arguments), place.shards, device=place.device, memory=arguments.memory)
+
+
+def _recover(arguments: Namespace, place: Place) -> None:
+    """What the first process does."""
+    from l2p.attacks.run import run
+    from l2p.work.journal import Rounds
+
+    if arguments.processes not in (None, place.shards.processes):
+        raise InputError(
+            f"got --processes {arguments.processes} in one of {place.shards.processes} processes that were started "
+            "elsewhere; leave it out"
+        )
+    _check_recover(arguments)
+    method = _method(arguments)
+    lines, ids = _recover_inputs(arguments)
+    set_threads(arguments.threads)
+    state = StateFile(arguments.output, resume=arguments.resume, overwrite=arguments.force)
+    recovery = run(
+        lines,
+        method,
+        device=place.device,
+        memory=arguments.memory,
+        progress=terminal_progress(),
+        name=arguments.method,
+        rounds=Rounds(place.shards, state),
+    )
+    if arguments.seed is not None:
+        recovery = replace(recovery, info={**recovery.info, "seed": arguments.seed})
+    with _rounds_left(state):
+        _write(recovery, ids, arguments)
+    state.remove()
+
+
+@contextmanager
+def _rounds_left(state: StateFile) -> Iterator[None]:
+    """Say of an output that cannot be written that the work is not lost."""
+    try:
+        yield
+    except InputError as error:
+        if not state.path.exists():
+            raise
+        raise InputError(f"{error}; {state.path} has the rounds: add --resume") from error
+
+
+def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments: Namespace) -> None:
+    """The recovery, filtered, and its figures."""
+    recovery = _filtered(recovery, arguments.min_confidence, arguments.clean)
+    kept = len(recovery) if recovery.kept is None else int(recovery.kept.sum())
+    stats = {
+        "lines": len(recovery),
+        "kept": kept,
+        "median_confidence": float(np.median(recovery.confidence)),
+        **recovery.info,
+    }
+    with figures_file(arguments, stats):
+        _save(recovery, ids, arguments)
+    if arguments.json != "-":
+        print(f"{arguments.output}: {kept} of {len(recovery)} points, {recovery.info['seconds']:.1f} s")
+
+
+def _check_recover(arguments: Namespace) -> None:
+    """Everything that can be refused before the lines are read."""
+    model_output = _model_output(arguments)
+    given = (arguments.lines, arguments.model, arguments.truth, arguments.checkpoint)
+    inputs = [path for path in given if path is not None]
+    outputs = [file_of(arguments.json)] if model_output else [arguments.output, file_of(arguments.json)]
+    check_outputs(inputs, outputs, arguments.force)
+    if model_output:
+        check_model_output(arguments.model, arguments.output, overwrite=arguments.force)
+    check_outputs([*inputs, *filter(None, outputs)], [str(state_path(arguments.output))], True)
+    StateFile(arguments.output, resume=arguments.resume, overwrite=arguments.force)
+    if arguments.min_confidence is not None and not 0 <= arguments.min_confidence <= 1:
+        raise InputError(f"got --min-confidence {arguments.min_confidence}; expected a number in [0, 1]")
+    check_threads(arguments.threads)
+    if arguments.processes is not None and not 1 <= arguments.processes <= MOST_PROCESSES:
+        raise InputError(f"got --processes {arguments.processes}; expected at least 1, at most {MOST_PROCESSES}")
+    if arguments.clean:
+        load_open3d()
+
+
+def _model_output(arguments: Namespace) -> bool:
+    """Whether -o asks for a COLMAP model."""
+    ending = Path(arguments.output).suffix.lower()
+    both = arguments.model is not None and arguments.truth is not None
+    neither = arguments.model is None and arguments.truth is None
+    if ending in (".npz", ".ply"):
+        if not neither:
+            raise InputError(f"got --model or --truth with {arguments.output}; expected a folder, for a COLMAP model")
+        return False
+    if not both:
+        raise InputError(
+            f"got -o {arguments.output}; expected .npz, .ply, or a folder together with --model MODEL --truth TRUTH.npz"
+        )
+    return True
+
+
+def _method(arguments: Namespace) -> Method:
+    """The attack that was asked for."""
+    from l2p.attacks.run import named_method
+
+    return named_method(
+        arguments.method,
+        checkpoint=arguments.checkpoint,
+        rounds=arguments.rounds,
+        scene_kind=arguments.scene_kind,
+        density=arguments.density,
+    )
+
+
+def _recover_inputs(arguments: Namespace) -> tuple[LineCloud, Int[np.ndarray, " lines"] | None]:
+    """The lines, and for a COLMAP model the point id behind each."""
+    lines = load_lines(arguments.lines)
+    if arguments.model is None:
+        return lines, None
+    ids = load_truth(arguments.truth).ids
+    if ids is None:
+        raise InputError(f"{arguments.truth} has no point ids; expected the truth of a lifted COLMAP model")
+    if len(ids) != len(lines):
+        raise InputError(f"got {len(lines)} lines and {len(ids)} ids; expected the truth of these very lines")
+    check_ids(arguments.model, ids)
+    return lines, ids
+
+
+def _filtered(recovery: Recovery, min_confidence: float | None, clean: bool) -> Recovery:
+    """The recovery with the points marked that pass the filters that were asked for."""
+    if min_confidence is None and not clean:
+        return recovery
+    kept = recovery.confidence >= (min_confidence or 0.0)
+    if not kept.any():
+        raise InputError(
+            f"no point has confidence {min_confidence}; the highest is {recovery.confidence.max():.3f}, so lower "
+            "--min-confidence"
+        )
+    if clean:
+        sure = np.flatnonzero(kept)
+        kept[sure] = inliers(recovery.xyz[sure])
+    return replace(recovery, kept=kept)
+
+
+def _save(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments: Namespace) -> None:
+    if ids is None:
+        save_recovery(recovery, arguments.output, overwrite=arguments.force)
+        return
+    kept = slice(None) if recovery.kept is None else recovery.kept
+    save_recovered_model(arguments.model, ids[kept], recovery.xyz[kept], arguments.output, overwrite=arguments.force)

@@ -1,0 +1,93 @@
+"""One door for all files: ``load`` whatever a path holds, ``save`` whatever there is to keep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from os import PathLike
+from typing import Any, TypeVar, overload
+
+from l2p.errors import InputError
+from l2p.io.kinds import LINE_CLOUDS, SCENES, Kind, kind_of
+from l2p.io.line_files import load_lines, save_lines
+from l2p.io.recovery_files import load_recovery, save_recovery
+from l2p.io.scene_files import load_scene, load_truth, save_scene_ply, save_truth
+from l2p.maps.lines import LineCloud
+from l2p.maps.recovery import Recovery
+from l2p.maps.scene import Scene
+from l2p.maps.truth import Truth
+
+Thing = TypeVar("Thing", Scene, LineCloud, Recovery, Truth)
+
+_LOADERS: dict[type[Any], Callable[..., Any]] = {
+    Scene: load_scene,
+    LineCloud: load_lines,
+    Recovery: load_recovery,
+    Truth: load_truth,
+}
+
+
+@overload
+def load(path: str | PathLike[str]) -> Any: ...
+@overload
+def load(path: str | PathLike[str], expected: type[Thing]) -> Thing: ...
+
+
+def load(path: str | PathLike[str], expected: type[Any] | None = None) -> Any:
+    """Read a scene, line cloud, recovery or truth; the content of the file decides which, not its name.
+
+    Parameters
+    ----------
+    path : path
+        A COLMAP model folder, PLY, npz, OBJ or text file (``docs/formats.md``).
+    expected : type, optional
+        ``Scene``, ``LineCloud``, ``Recovery`` or ``Truth``, to refuse everything else.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is nothing at ``path``.
+    InputError
+        If the file is damaged or of another kind.
+
+    Examples
+    --------
+    >>> import tempfile, l2p
+    >>> lines = l2p.lift(l2p.simulate("room", points=300, seed=0).xyz, seed=0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     l2p.save(lines, f"{folder}/lines.npz")
+    ...     len(l2p.load(f"{folder}/lines.npz"))
+    300
+    """
+    if expected is not None:
+        return _LOADERS[expected](path)
+    kind = kind_of(path)
+    if kind is Kind.CHECKPOINT:
+        raise InputError(f"{path} is {kind.value}; give it to l2p.recover(lines, checkpoint=...)")
+    if kind in LINE_CLOUDS:
+        return load_lines(path)
+    if kind in SCENES:
+        return load_scene(path)
+    return load_recovery(path) if kind is Kind.RECOVERY else load_truth(path)
+
+
+def save(thing: Scene | LineCloud | Recovery | Truth, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write a line cloud (npz, PLY, OBJ), a recovery (npz, PLY), a truth (npz) or a scene (PLY), whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the ending of ``path`` names no format for this kind of thing, the file exists (without ``overwrite``), or
+        it cannot be written.
+    TypeError
+        If ``thing`` is none of these.
+    """
+    if isinstance(thing, LineCloud):
+        save_lines(thing, path, overwrite=overwrite)
+    elif isinstance(thing, Recovery):
+        save_recovery(thing, path, overwrite=overwrite)
+    elif isinstance(thing, Truth):
+        save_truth(thing, path, overwrite=overwrite)
+    elif isinstance(thing, Scene):
+        save_scene_ply(thing, path, overwrite=overwrite)
+    else:
+        raise TypeError(f"got a {type(thing).__name__}; expected a LineCloud, Recovery, Truth or Scene")

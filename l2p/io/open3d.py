@@ -1,0 +1,23 @@
+"""Loading Open3D, which needs libraries of the system."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from l2p.errors import InputError
+
+#: What Open3D needs from the system.
+DEBIAN_PACKAGES = "libusb-1.0-0 libgl1 libegl1 libx11-6"
+
+
+def load_open3d(flag: str = "--clean") -> Any:
+    """The module open3d, or a sentence on how to get it to load; ``flag`` is what asks for it."""
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"Open3D does not load ({reason}); install it with pip install open3d and apt install {DEBIAN_PACKAGES}, "
+            f"or leave out {flag}"
+        ) from error
+    return open3d

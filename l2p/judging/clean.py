@@ -1,0 +1,30 @@
+"""Statistical outlier removal on recovered points, with Open3D."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from l2p.io.open3d import load_open3d
+
+#: Neighbours and standard deviations of the two passes (Chelani et al., CVPR 2021, reference code).
+PASSES = ((50, 2.0), (25, 2.0))
+
+
+def inliers(xyz: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
+    """The points that survive both passes: those not much farther from their neighbours than is usual.
+
+    Notes
+    -----
+    Fewer than three points have no usual distance: all are kept.
+    """
+    open3d = load_open3d()
+    kept = np.arange(len(xyz))
+    for neighbors, deviations in PASSES:
+        if len(kept) < 3:
+            break
+        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(xyz[kept]))
+        kept = kept[np.asarray(cloud.remove_statistical_outlier(neighbors, deviations)[1], dtype=np.int64)]
+    mask = np.zeros(len(xyz), dtype=np.bool_)
+    mask[kept] = True
+    return mask

@@ -1,0 +1,201 @@
+"""References that know the answer: what perfect neighbours, or the whole rest of the scene, would give.
+
+They bound an attack from three sides (``docs/how-it-works.md``, "Bounds") and share its call, so that a table can
+hold them side by side. None of them is an attack: each is built from the true points.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from l2p.attacks.attack import Estimate, Method
+from l2p.attacks.votes import member, vote
+from l2p.checks import finite_rows
+from l2p.errors import InputError
+from l2p.geometry.elements import Lines
+from l2p.geometry.frame import Frame
+from l2p.geometry.nearest import nearest_points_to_lines
+from l2p.geometry.pairs import feet
+from l2p.geometry.points import nearest_neighbors
+from l2p.work.progress import NO_PROGRESS, Progress
+
+#: Kernel widths that the leave-one-out bound tries, as shares of the median distance to the 50th point.
+BANDWIDTHS = (0.125, 0.25, 0.5, 1.0)
+
+
+class Oracle:
+    """The k true nearest neighbours of each point, a share of them replaced by random lines (paper, figure 4).
+
+    Parameters
+    ----------
+    points : (lines, 3)
+        The true points in the order of the lines.
+    k : int
+        Neighbours of each line.
+    outliers : float
+        Share of the k that is replaced by lines drawn at random, in [0, 1].
+    seed : int
+        Of the outliers.
+
+    Notes
+    -----
+    No ceiling: to know a point's nearest neighbours is to know something about the point itself.
+    """
+
+    def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 50, outliers: float = 0.0, seed: int = 0) -> None:
+        _check_count("k", k)
+        if not 0 <= outliers <= 1:
+            raise InputError(f"got outliers = {outliers}; expected a share in [0, 1]")
+        self.points, self.k, self.outliers, self.seed = finite_rows("points", points), k, outliers, seed
+
+    def neighbors(self) -> Int[np.ndarray, "lines k"]:
+        """The neighbours, true ones and outliers."""
+        neighbors = nearest_neighbors(self.points, self.k).index
+        wrong = round(self.outliers * neighbors.shape[1])
+        if wrong:
+            rng = np.random.default_rng(self.seed)
+            # A draw from the others: shifting past self keeps it uniform.
+            drawn = rng.integers(0, len(neighbors) - 1, size=(len(neighbors), wrong))
+            drawn += drawn >= np.arange(len(neighbors))[:, None]
+            # The nearest are kept or lost at random, not the far ones first.
+            place = np.argsort(rng.random(neighbors.shape), axis=1)[:, :wrong]
+            np.put_along_axis(neighbors, place, drawn, axis=1)
+        return neighbors
+
+    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
+        """Vote once with the true neighbours."""
+        _same_count(lines, self.points)
+        neighbors = torch.as_tensor(self.neighbors(), device=lines.direction.device)
+        return vote(lines, neighbors, progress=progress)
+
+    def settings(self) -> dict[str, Any]:
+        """k, share of outliers and seed."""
+        return {"k": self.k, "outliers": self.outliers, "seed": self.seed}
+
+
+class CandidateOracle:
+    """Of the candidates that an attack looks at, the true neighbours: what its choice of candidates loses.
+
+    Parameters
+    ----------
+    points : (lines, 3)
+        The true points in the order of the lines.
+    attack : Method
+        The attack whose final estimates give the candidates.
+    k : int
+        A candidate counts as true if it is among the k nearest points.
+    candidates : int
+        Size of N_pl around the attack's estimates.
+    """
+
+    def __init__(
+        self, points: Float[np.ndarray, "lines 3"], attack: Method, k: int = 50, candidates: int = 200
+    ) -> None:
+        _check_count("k", k)
+        _check_count("candidates", candidates)
+        self.points, self.attack = finite_rows("points", points), attack
+        self.k, self.candidates = k, candidates
+
+    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
+        """Run the attack, then vote with the true neighbours among its candidates; none left, the attack's word."""
+        _same_count(lines, self.points)
+        before = self.attack.locate(lines, frame, progress)
+        near = nearest_points_to_lines(lines, lines.at(before.beta), self.candidates, progress=progress).index
+        true = torch.as_tensor(nearest_neighbors(self.points, self.k).index, device=near.device, dtype=near.dtype)
+        estimate = vote(lines, near.masked_fill(~member(near, true), -1), progress=progress)
+        none = (estimate.neighbors >= 0).sum(dim=1) == 0
+        return estimate._replace(beta=torch.where(none, before.beta, estimate.beta))
+
+    def settings(self) -> dict[str, Any]:
+        """k, candidates, and the attack's own settings."""
+        return {"k": self.k, "candidates": self.candidates, "attack": self.attack.settings()}
+
+
+class LeaveOneOut:
+    """Every other point is known, and a line's own is put where their density along the line is greatest.
+
+    A Gaussian kernel of one width for the whole scene; of ``BANDWIDTHS`` the one with the least median error is kept,
+    which the true points decide. It is what the rest of the scene tells about a point through a plain kernel: a
+    yardstick for attacks by geometry alone, which only a better prior (surfaces, edges, local scale) can pass.
+
+    Parameters
+    ----------
+    points : (lines, 3)
+        The true points in the order of the lines.
+    k : int
+        Points nearest to the line that enter the density; the kernel reaches no farther in practice.
+    """
+
+    def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 128) -> None:
+        _check_count("k", k)
+        self.points, self.k = finite_rows("points", points), k
+
+    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
+        """The mode of the density along each line, for the best of the kernel widths."""
+        _same_count(lines, self.points)
+        truth = frame.enter_points(self.points, lines.direction.device, lines.direction.dtype)
+        near = nearest_points_to_lines(lines, truth, self.k, progress=progress)
+        true_beta = ((truth - lines.foot) * lines.direction).sum(dim=1)
+        unit = nearest_neighbors(self.points, 50).distance[:, -1:]
+        # The frame's unit, where one line or points in one place leave no scale of their own.
+        scale = (float(np.median(unit)) / frame.unit if unit.size else 0.0) or 1.0
+        best, least = None, torch.inf
+        with progress.task("leave-one-out density", total=len(truth) * len(BANDWIDTHS)) as advance:
+            for width in BANDWIDTHS:
+                estimate = self._modes(lines, truth, near, width * scale, advance)
+                error = float((estimate.beta - true_beta).abs().median())
+                if error < least or best is None:
+                    best, least = estimate, error
+        assert best is not None
+        return best
+
+    def _modes(self, lines: Lines, truth: Float[Tensor, "lines 3"], near: Any, width: float, advance: Any) -> Estimate:
+        count, k = near.index.shape
+        beta, share = lines.direction.new_zeros(count), lines.direction.new_zeros(count)
+        weight = torch.exp(-0.5 * (near.distance / width).square())
+        rows = max(1, (1 << 18) // max(k * k, 1))
+        for begin in range(0, count, rows):
+            here = slice(begin, min(begin + rows, count))
+            position = feet(lines.rows(here), truth, near.index[here]).beta
+            if k:
+                beta[here], share[here] = _mode(position, weight[here], width)
+            advance(here.stop - begin)
+        return Estimate(beta, share, near.index, weight)
+
+    def settings(self) -> dict[str, Any]:
+        """Points per line and kernel widths."""
+        return {"k": self.k, "bandwidths": list(BANDWIDTHS)}
+
+
+def _mode(
+    position: Float[Tensor, "lines k"], weight: Float[Tensor, "lines k"], width: float
+) -> tuple[Float[Tensor, " lines"], Float[Tensor, " lines"]]:
+    """Greatest weighted kernel density over the positions themselves, moved uphill by mean shift; and its share."""
+    apart = (position[:, :, None] - position[:, None, :]) / width
+    # Denormal numbers are slow: nothing below e^-40 counts.
+    kernel = torch.exp((-0.5 * apart.square()).clamp_min_(-40))
+    density = torch.bmm(kernel, weight[:, :, None]).squeeze(-1)
+    highest, top = density.max(dim=1)
+    beta = torch.gather(position, 1, top[:, None])
+    for _ in range(5):
+        pull = weight * torch.exp(-0.5 * ((position - beta) / width).square())
+        total = pull.sum(dim=1, keepdim=True)
+        beta = torch.where(total > 0, (pull * position).sum(dim=1, keepdim=True) / total.clamp_min(1e-30), beta)
+    return beta[:, 0], (highest / weight.sum(dim=1).clamp_min(1e-30)).clamp(0, 1)
+
+
+def _check_count(name: str, count: int) -> None:
+    if count < 1:
+        raise InputError(f"got {name} = {count}; expected at least 1 neighbour")
+
+
+def _same_count(lines: Lines, points: Float[np.ndarray, "points 3"]) -> None:
+    if len(points) != len(lines.direction):
+        raise InputError(
+            f"got {len(points)} true points for {len(lines.direction)} lines; expected them in the order of the lines"
+        )

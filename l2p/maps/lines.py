@@ -1,0 +1,103 @@
+"""The line cloud: unit directions and Plücker moments, in float64, with nothing that depends on the points' places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from l2p.checks import _refuse, finite_rows
+from l2p.errors import InputError
+
+#: Largest |d| - 1 and |d . m| / |m| that count as rounding of a writer in single precision.
+UNIT_TOLERANCE = 1e-4
+#: What rounding in double precision leaves of |d| - 1 and |d . m| / |m| once they were put right. Smaller ones are
+#: left alone, so that a line cloud read back from its file is the same to the last bit.
+_ROUNDING = 8 * np.finfo(np.float64).eps
+
+
+@dataclass(frozen=True, eq=False)
+class LineCloud:
+    """N lines in Plücker coordinates.
+
+    Parameters
+    ----------
+    direction : (lines, 3) float64
+        Unit vectors; the sign has no meaning.
+    moment : (lines, 3) float64
+        p x d for any point p on the line, in scene units.
+    rgb : (lines, 3) uint8, optional
+        Colour of the point behind each line.
+    scheme : str
+        How the directions were drawn; ``uniform`` is the line cloud of Speciale et al. (CVPR 2019).
+
+    Raises
+    ------
+    InputError
+        If shapes differ, numbers are not finite or beyond 1e30, a direction has no length or a moment is not
+        perpendicular to it.
+    """
+
+    direction: Float[np.ndarray, "lines 3"]
+    moment: Float[np.ndarray, "lines 3"]
+    rgb: UInt8[np.ndarray, "lines 3"] | None = None
+    scheme: str = "uniform"
+
+    def __post_init__(self) -> None:
+        direction = finite_rows("direction", self.direction)
+        moment = finite_rows("moment", self.moment)
+        if len(moment) != len(direction):
+            raise InputError(
+                f"got {len(direction)} directions and {len(moment)} moments; expected one moment for each line"
+            )
+        if self.rgb is not None and self.rgb.shape != direction.shape:
+            raise InputError(f"got rgb of shape {self.rgb.shape}; expected ({len(direction)}, 3), one colour a line")
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
+        _refuse(
+            np.abs(length[:, 0] - 1) > UNIT_TOLERANCE, "direction of length other than 1", "normalise the direction"
+        )
+        direction = np.where(np.abs(length - 1) > _ROUNDING, direction / length, direction)
+        along = np.sum(direction * moment, axis=1)
+        size = np.linalg.norm(moment, axis=1)
+        _refuse(
+            np.abs(along) > UNIT_TOLERANCE * size + np.finfo(float).tiny,
+            "moment that is not perpendicular to its direction",
+            "store p x d for a point p on the line",
+        )
+        moment = moment - np.where(np.abs(along) > _ROUNDING * size, along, 0.0)[:, None] * direction
+        for name, value in (("direction", direction), ("moment", moment)):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def through(
+        cls,
+        point: Float[np.ndarray, "lines 3"],
+        direction: Float[np.ndarray, "lines 3"],
+        rgb: UInt8[np.ndarray, "lines 3"] | None = None,
+        scheme: str = "uniform",
+    ) -> LineCloud:
+        """The lines through ``point`` along ``direction`` (any length but zero); where on the line is forgotten."""
+        point, direction = finite_rows("point", point), finite_rows("direction", direction)
+        if len(point) != len(direction):
+            raise InputError(f"got {len(point)} points and {len(direction)} directions; expected one direction a point")
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
+        _refuse(length[:, 0] == 0, "direction of length 0", "remove the line")
+        direction = direction / length
+        # The moment is taken at the foot of the perpendicular from the origin, so that its rounding, too, depends
+        # on the line and hardly on the point.
+        foot = point - np.sum(point * direction, axis=1, keepdims=True) * direction
+        return cls(direction, np.cross(foot, direction), rgb, scheme)
+
+    @property
+    def origin(self) -> Float[np.ndarray, "lines 3"]:
+        """The canonical foot d x m: the point of each line nearest to the frame's origin."""
+        return np.cross(self.direction, self.moment)
+
+    def at(self, beta: Float[np.ndarray, " lines"]) -> Float[np.ndarray, "lines 3"]:
+        """The points origin + beta * direction, (lines, 3) in scene units."""
+        return self.origin + np.asarray(beta, dtype=np.float64)[:, None] * self.direction
+
+    def __len__(self) -> int:
+        return len(self.direction)

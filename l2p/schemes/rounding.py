@@ -1,0 +1,49 @@
+"""The lattice that the points of a scene were rounded to, which lines through them could reveal."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+
+def lattice_step(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " points"]:
+    """Step of the coarsest lattice around each point that the scene was once rounded to; 0 if there is none.
+
+    Notes
+    -----
+    Three ways to lose digits are recognised, also one after the other: a number of decimals (0 to 9, the same step
+    everywhere), a number of significant digits (1 to 9) and single precision (both with a step that grows with the
+    point's largest coordinate). Decimal lattices count if they hold at least half of the points: a few points of
+    another source must not hide them. A scene of double precision numbers lies on none.
+    """
+    size = np.abs(points).max(axis=1)
+    if not size.any():
+        return np.zeros(len(points))
+    single = (points.astype(np.float32) == points).all(axis=1)
+    rounding = np.where(single[:, None], np.spacing(np.abs(points).astype(np.float32)), np.spacing(np.abs(points)))
+    step = np.where(single, np.spacing(size.astype(np.float32)), 0.0)
+    for digits in range(10):
+        if _rounded(points, np.full_like(points, 10.0**-digits), rounding):
+            step = np.maximum(step, 10.0**-digits)
+            break
+    for digits in range(1, 10):
+        if _rounded(points, _last_digit(points, digits), rounding):
+            step = np.maximum(step, _last_digit(size, digits))
+            break
+    return step
+
+
+def _rounded(
+    points: Float[np.ndarray, "points 3"], unit: Float[np.ndarray, "points 3"], rounding: Float[np.ndarray, "points 3"]
+) -> bool:
+    """Whether at least half of the points are multiples of their unit, as far as their rounding lets see it."""
+    with np.errstate(divide="ignore", invalid="ignore"):  # the last digit of the tiniest numbers is 0
+        multiple, slack = points / unit, 4 * rounding / unit
+        # A unit of a few roundings would hold any point.
+        on = (np.abs(multiple - np.rint(multiple)) <= slack) & (slack < 0.05)
+    return bool(on.all(axis=1).mean() >= 0.5)
+
+
+def _last_digit(value: Float[np.ndarray, "*shape"], digits: int) -> Float[np.ndarray, "*shape"]:
+    """One unit in the last of so many significant digits."""
+    return 10.0 ** (np.floor(np.log10(np.where(value == 0, 1, np.abs(value)))) - (digits - 1))

@@ -1,0 +1,79 @@
+"""What there is to look at in a file or in one attack of an audit: points, lines, and what was recovered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from l2p.attacks.settings import CALIBRATED
+from l2p.errors import InputError
+from l2p.io.kinds import LINE_CLOUDS, SCENES, Kind, kind_of
+from l2p.io.line_files import load_lines
+from l2p.io.recovery_files import load_recovery
+from l2p.io.scene_files import load_scene, load_truth
+from l2p.maps.lines import LineCloud
+
+#: The view holds this share of the points and this much around them: most maps have a middle and a far background.
+_HELD, _MARGIN = 0.8, 1.3
+
+
+@dataclass(frozen=True, eq=False)
+class Exhibit:
+    """Layers of one cloud, each None where it is not known; all have the same rows.
+
+    Attributes
+    ----------
+    points : (rows, 3) float64 or None
+        The points of the map, scene units.
+    lines : LineCloud or None
+    recovered : (rows, 3) float64 or None
+    rgb : (rows, 3) uint8 or None
+        Colours of the points.
+    confidence : (rows,) float32 or None
+        Of the recovered points.
+    calibrated : bool
+        The confidence is a probability, and does not only rank.
+    error : (rows,) float64 or None
+        Of the recovered points, in spacings.
+    camera_centers : (cameras, 3) float64 or None
+        Scene units.
+    """
+
+    points: Float[np.ndarray, "rows 3"] | None = None
+    lines: LineCloud | None = None
+    recovered: Float[np.ndarray, "rows 3"] | None = None
+    rgb: UInt8[np.ndarray, "rows 3"] | None = None
+    confidence: Float[np.ndarray, " rows"] | None = None
+    calibrated: bool = False
+    error: Float[np.ndarray, " rows"] | None = None
+    camera_centers: Float[np.ndarray, "cameras 3"] | None = None
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Exhibit:
+        """What there is to look at in a file: a scene, a truth, a line cloud or a recovery.
+
+        Raises
+        ------
+        FileNotFoundError, InputError
+            As the reader of that kind of file; a checkpoint has nothing to look at.
+        """
+        kind = kind_of(path)
+        if kind in LINE_CLOUDS:
+            lines = load_lines(path)
+            return cls(lines=lines, rgb=lines.rgb)
+        if kind in SCENES:
+            scene = load_scene(path)
+            return cls(points=scene.xyz, rgb=scene.rgb, camera_centers=scene.camera_centers)
+        if kind is Kind.TRUTH:
+            return cls(points=load_truth(path).xyz)
+        if kind is not Kind.RECOVERY:
+            raise InputError(f"{path} is {kind.value}; expected a scene, a line cloud or a recovery to look at")
+        recovery = load_recovery(path)
+        calibrated = recovery.info.get("method") in CALIBRATED
+        return cls(recovered=recovery.xyz, rgb=recovery.rgb, confidence=recovery.confidence, calibrated=calibrated)
+
+    def __len__(self) -> int:
+        return next(len(layer) for layer in (self.points, self.recovered, self.lines) if layer is not None)

@@ -1,0 +1,71 @@
+"""Where a view stands, and which way is up in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from l2p.maps.lines import LineCloud
+from l2p.show.exhibit import _HELD, _MARGIN, Exhibit
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """Where a view stands: ``(x - center) / radius @ axes.T`` is in the unit ball, but for far points, and z is up.
+
+    The sign of up cannot be known; maps are stored with y down, as cameras see them, or with z up.
+    """
+
+    center: Float[np.ndarray, "3"]
+    radius: float
+    axes: Float[np.ndarray, "3 3"]
+
+    @classmethod
+    def before(cls, exhibit: Exhibit) -> Stance:
+        """Made for the points of the map if they are known, else for those recovered, else for the lines."""
+        points = exhibit.points if exhibit.points is not None else exhibit.recovered
+        if points is None:
+            from l2p.geometry.frame import Frame
+
+            assert exhibit.lines is not None
+            frame = Frame.of(exhibit.lines)
+            return cls(frame.center, 2 * frame.unit, np.eye(3))
+        center = np.median(points, axis=0)
+        distance = np.linalg.norm(points - center, axis=1)
+        radius = _MARGIN * float(np.quantile(distance, _HELD))
+        return cls(center, radius if radius > 0 else 1.0, _axes(points[distance <= radius], exhibit.camera_centers))
+
+    def enter(self, points: Float[np.ndarray, "*many 3"]) -> Float[np.ndarray, "*many 3"]:
+        """Scene points in the view's own coordinates."""
+        return (points - self.center) / self.radius @ self.axes.T
+
+    def leave(self, places: Float[np.ndarray, "*many 3"]) -> Float[np.ndarray, "*many 3"]:
+        """Places in the view's own coordinates as scene points."""
+        return places @ self.axes * self.radius + self.center
+
+    def chords(self, lines: LineCloud, reach: float = 1.25) -> Float[np.ndarray, "chords 2 3"]:
+        """The parts of the lines in the ball of radius ``reach`` in the view; lines that miss it have none."""
+        origin, direction = self.enter(lines.origin), lines.direction @ self.axes.T
+        along = -np.sum(origin * direction, axis=1, keepdims=True)
+        nearest = origin + along * direction
+        square = reach**2 - np.sum(nearest**2, axis=1, keepdims=True)
+        hit = square[:, 0] > 0
+        half = np.sqrt(square[hit]) * direction[hit]
+        return np.stack([nearest[hit] - half, nearest[hit] + half], axis=1)
+
+
+def _axes(points: Float[np.ndarray, "points 3"], cameras: Float[np.ndarray, "cameras 3"] | None) -> np.ndarray:
+    """Rows right, forward, up. Cameras are carried about level, so up is where their places vary least; without
+    cameras, the points. An axis of the scene is taken if it is near."""
+    places = points if cameras is None or len(cameras) < 3 else cameras
+    up = np.linalg.eigh(np.cov(places.T))[1][:, 0] if len(places) > 2 else np.eye(3)[2]
+    largest = int(np.abs(up).argmax())
+    if abs(up[largest]) > 0.9:
+        up = np.eye(3)[largest]
+    up = up if up @ (0.0, -1.0, 1.0) >= 0 else -up
+    other = np.eye(3)[int(np.abs(up).argmin())]
+    forward = np.cross(up, other)
+    forward /= np.linalg.norm(forward)
+    return np.stack([np.cross(forward, up), forward, up])

@@ -1,0 +1,199 @@
+"""The tables that the command line prints."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from l2p.io.kinds import LINE_CLOUDS, SCENES, Kind, kind_of
+from l2p.io.line_files import load_lines
+from l2p.io.recovery_files import load_recovery
+from l2p.io.scene_files import load_scene, load_truth
+from l2p.judging.accuracy import Scores
+
+if TYPE_CHECKING:
+    from l2p.attacks.learned.checkpoint import Checkpoint
+
+#: Columns of a wide table when stdout is no terminal, whose width would be taken for 80.
+_FILE_WIDTH = 140
+
+
+def print_scores(columns: dict[str, Scores], *, calibrated: bool = True) -> None:
+    """The figures of each column, on stdout; ``calibrated`` says whether the confidence claims to be a probability."""
+    table = Table(*("", *columns), title="error of the recovered points")
+    for row in zip(*(_score_rows(scores, calibrated) for scores in columns.values()), strict=True):
+        table.add_row(row[0][0], *(value for _, value in row))
+    _console().print(table)
+
+
+def print_info(path: str | PathLike[str]) -> None:
+    """What a file is, on stdout; of a checkpoint also what it was worth on the clouds that were held back.
+
+    Raises
+    ------
+    FileNotFoundError, InputError
+        As the reader of that kind of file.
+    """
+    kind = kind_of(path)
+    table = Table("what", kind.value, title=escape(Path(path).name))
+    tables = [table]
+    if kind is Kind.CHECKPOINT:
+        from l2p.attacks.learned.checkpoint import digest, read
+
+        checkpoint = read(path)
+        rows = [*_describe_checkpoint(checkpoint), ("digest", digest(path))]
+        tables += _held_back(checkpoint.facts.get("results"))
+    else:
+        rows = _describe(path, kind)
+    for what, value in rows:
+        table.add_row(what, escape(value))
+    console = _console()
+    for each in tables:
+        console.print(each)
+
+
+def _console() -> Console:
+    return Console(file=sys.stdout, width=None if sys.stdout.isatty() else _FILE_WIDTH)
+
+
+def _score_rows(scores: Scores, calibrated: bool) -> list[tuple[str, str]]:
+    rows = [
+        ("lines", str(scores.lines)),
+        ("spacing (scene units)", f"{scores.spacing:.4g}"),
+        ("median error (scene units)", f"{scores.median:.4g}"),
+        ("mean error (scene units)", f"{scores.mean:.4g}"),
+        ("median error (spacings)", f"{scores.median_spacings:.3f}"),
+        *((f"within {limit} {_spacings(limit)}", f"{share:.1%}") for limit, share in scores.within_spacings.items()),
+        *((f"within {limit} cm", f"{share:.1%}") for limit, share in scores.within_cm.items()),
+        ("most confident half within 1 spacing", f"{scores.confident_half:.1%}"),
+        ("most confident quarter within 1 spacing", f"{scores.confident_quarter:.1%}"),
+    ]
+    return [*rows, ("calibration error", f"{scores.calibration_error:.3f}")] if calibrated else rows
+
+
+def _spacings(limit: str) -> str:
+    return "spacing" if limit == "1" else "spacings"
+
+
+def _describe(path: str | PathLike[str], kind: Kind) -> Sequence[tuple[str, str]]:
+    if kind in LINE_CLOUDS:
+        return _describe_lines(path)
+    if kind in SCENES:
+        return _describe_scene(path)
+    return _describe_recovery(path) if kind is Kind.RECOVERY else _describe_truth(path)
+
+
+def _describe_lines(path: str | PathLike[str]) -> list[tuple[str, str]]:
+    cloud = load_lines(path)
+    return [("lines", str(len(cloud))), ("scheme", cloud.scheme), ("colours", _yes(cloud.rgb))]
+
+
+def _describe_scene(path: str | PathLike[str]) -> list[tuple[str, str]]:
+    scene = load_scene(path)
+    cameras = "unknown" if scene.camera_centers is None else str(len(scene.camera_centers))
+    tracks = "unknown" if scene.track_length is None else f"{np.median(scene.track_length):g} images (median)"
+    return [
+        ("points", str(len(scene))),
+        *_extent(scene.xyz),
+        ("colours", _yes(scene.rgb)),
+        ("ids", _yes(scene.ids)),
+        ("track length", tracks),
+        ("cameras", cameras),
+    ]
+
+
+def _describe_recovery(path: str | PathLike[str]) -> list[tuple[str, str]]:
+    recovery = load_recovery(path)
+    low, middle, high = np.quantile(recovery.confidence, (0.25, 0.5, 0.75))
+    return [
+        ("points", str(len(recovery))),
+        ("kept", str(len(recovery) if recovery.kept is None else int(recovery.kept.sum()))),
+        ("method", str(recovery.info.get("method", "unknown"))),
+        *_checkpoint_of(recovery.info.get("settings")),
+        ("confidence (quartiles)", f"{low:.2f} {middle:.2f} {high:.2f}"),
+        *_extent(recovery.xyz),
+        ("colours", _yes(recovery.rgb)),
+    ]
+
+
+def _checkpoint_of(settings: Any) -> list[tuple[str, str]]:
+    """The checkpoint of a recovery, if its method has one."""
+    if not isinstance(settings, dict) or "checkpoint" not in settings:
+        return []
+    return [("checkpoint", f"{settings['checkpoint']} ({settings.get('digest', 'no digest')})")]
+
+
+def _describe_checkpoint(checkpoint: Checkpoint) -> list[tuple[str, str]]:
+    """Sizes, and what its facts say of the training; each fact may be missing."""
+    size, config, facts = checkpoint.network.config, checkpoint.config, checkpoint.facts
+    scenes = facts.get("scenes")
+    trained = {
+        "trained at commit": facts.get("commit"),
+        "seed": facts.get("seed"),
+        "training steps": facts.get("steps"),
+        "training minutes": facts.get("minutes"),
+        "training scenes": len(scenes) if isinstance(scenes, list) else None,
+    }
+    return [
+        ("parameters", str(sum(value.numel() for value in checkpoint.network.parameters()))),
+        ("width, layers, heads", f"{size.width}, {size.layers}, {size.heads}"),
+        ("rounds", str(config.rounds)),
+        ("candidates", str(config.candidates)),
+        *((what, "unknown" if value is None else str(value)) for what, value in trained.items()),
+    ]
+
+
+def _held_back(results: Any) -> list[Table]:
+    """The table of the held-back line clouds; none where the training recorded none."""
+    rows = [row for row in results if isinstance(row, dict)] if isinstance(results, list) else []
+    if not rows:
+        return []
+    columns: list[tuple[str, str, Callable[[float], str]]] = [
+        ("scene", "scene", str),
+        ("share of points", "fraction", lambda value: f"{100 * value:g}%"),
+        ("lines", "lines", str),
+        ("median error by round (spacings)", "median", lambda value: f"{value:.3f}"),
+        ("within 1 spacing by round", "within", lambda value: f"{value:.1%}"),
+        ("most confident half within 1", "confident_half", lambda value: f"{value:.1%}"),
+        ("calibration error", "calibration_error", lambda value: f"{value:.3f}"),
+    ]
+    table = Table(*(heading for heading, _, _ in columns), title="held-back line clouds, in spacings of their own")
+    for row in rows:
+        table.add_row(*(escape(_figures(row.get(name), form)) for _, name, form in columns))
+    return [table]
+
+
+def _figures(value: Any, form: Callable[[float], str]) -> str:
+    """A figure, or one for each round; what is no number stays as it is."""
+    if value is None:
+        return "-"
+    values = value if isinstance(value, list) else [value]
+    return " ".join(form(each) if isinstance(each, int | float) else str(each) for each in values)
+
+
+def _describe_truth(path: str | PathLike[str]) -> list[tuple[str, str]]:
+    truth = load_truth(path)
+    return [
+        ("points", str(len(truth))),
+        ("spacing (scene units)", f"{truth.spacing:.4g}"),
+        *_extent(truth.xyz),
+        ("ids", _yes(truth.ids)),
+        ("seed", "not stored" if truth.seed is None else str(truth.seed)),
+    ]
+
+
+def _extent(xyz: np.ndarray) -> list[tuple[str, str]]:
+    low, high = xyz.min(axis=0), xyz.max(axis=0)
+    return [(f"{axis} from, to", f"{a:.4g}, {b:.4g}") for axis, a, b in zip("xyz", low, high, strict=True)]
+
+
+def _yes(value: object) -> str:
+    return "no" if value is None else "yes"

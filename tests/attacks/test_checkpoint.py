@@ -1,0 +1,177 @@
+"""The checkpoint file: what is written is read, and everything else is refused with a sentence."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from l2p.attacks.learned import checkpoint
+from l2p.attacks.learned.checkpoint import Checkpoint
+from l2p.attacks.learned.features import VOTES
+from l2p.attacks.learned.learned import LearnedConfig
+from l2p.attacks.learned.network import RADII, LineTransformer, NetworkConfig
+from l2p.errors import InputError
+
+SIZE = NetworkConfig(width=8, layers=1, heads=2, finest=0.5)
+CONFIG = LearnedConfig(rounds=2, candidates=16)
+CALIBRATION = [[(1.0 + radius, -0.1 * number) for radius in RADII] for number in range(2)]
+#: Numbers that the network gives of each candidate.
+JUDGED = 1 + len(VOTES)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A checkpoint of two rounds."""
+    path = tmp_path / "model.safetensors"
+    checkpoint.save(path, Checkpoint(LineTransformer(SIZE), CONFIG, CALIBRATION, {"seed": 3, "note": "Grüße"}))
+    return path
+
+
+def header(path: Path) -> dict[str, str]:
+    raw = path.read_bytes()
+    return json.loads(raw[8 : 8 + int.from_bytes(raw[:8], "little")])["__metadata__"]
+
+
+def test_what_is_saved_is_loaded(file: Path) -> None:
+    learned, whole = checkpoint.load(file), checkpoint.read(file)
+    assert learned.config == whole.config == CONFIG
+    assert learned.calibration == whole.calibration == CALIBRATION
+    assert learned.network.config == SIZE and not learned.network.training
+    assert whole.facts == {"seed": 3, "note": "Grüße"}
+    tensors, state = load_file(file), learned.network.state_dict()
+    assert tensors.keys() == state.keys() and all(torch.equal(tensors[name], state[name]) for name in state)
+    assert all(isinstance(value, str) for value in header(file).values())
+
+
+def test_what_is_read_may_be_written_again(file: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again.safetensors"
+    checkpoint.save(again, checkpoint.read(file))
+    assert header(again) == header(file)
+    left, right = load_file(file), load_file(again)
+    assert left.keys() == right.keys() and all(torch.equal(left[name], right[name]) for name in left)
+
+
+@pytest.mark.parametrize("rounds", [0, 1, 2])
+def test_fewer_rounds_may_be_run(file: Path, rounds: int) -> None:
+    learned = checkpoint.load(file, rounds=rounds, density=0.5)
+    assert learned.config == replace(CONFIG, rounds=rounds) and learned.density == 0.5
+    assert learned.settings()["rounds"] == rounds
+
+
+@pytest.mark.parametrize("rounds", [-1, 3])
+def test_more_rounds_than_it_was_trained_for_are_refused(file: Path, rounds: int) -> None:
+    with pytest.raises(InputError, match=f"got {rounds} rounds; expected 0 to 2, those that .* was trained for"):
+        checkpoint.load(file, rounds=rounds)
+
+
+def test_an_existing_file_is_kept(file: Path) -> None:
+    with pytest.raises(InputError, match="exists"):
+        checkpoint.save(file, checkpoint.read(file))
+
+
+def test_a_missing_file_is_not_found(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"none\.safetensors does not exist; expected a checkpoint"):
+        checkpoint.load(tmp_path / "none.safetensors")
+
+
+def test_a_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a folder; expected a checkpoint file"):
+        checkpoint.load(tmp_path)
+
+
+@pytest.mark.parametrize("size", [0, 5, 100, -1])
+def test_a_truncated_file_is_refused(file: Path, size: int) -> None:
+    file.write_bytes(file.read_bytes()[:size])
+    with pytest.raises(InputError, match="is no safetensors file or is cut short"):
+        checkpoint.load(file)
+
+
+def test_a_pickle_is_refused_and_not_run(tmp_path: Path) -> None:
+    class Bomb:
+        def __reduce__(self) -> tuple:
+            return Path.touch, (tmp_path / "boom",)
+
+    path = tmp_path / "model.ckpt"
+    path.write_bytes(pickle.dumps(Bomb()))
+    with pytest.raises(InputError, match="is no safetensors file"):
+        checkpoint.load(path)
+    assert not (tmp_path / "boom").exists()
+
+
+@pytest.mark.parametrize("metadata", [None, {"format": "pt"}, {"l2p_format": "one"}])
+def test_a_foreign_file_is_refused(file: Path, metadata: dict[str, str] | None) -> None:
+    save_file(load_file(file), file, metadata)
+    with pytest.raises(InputError, match="of another program"):
+        checkpoint.load(file)
+
+
+@pytest.mark.parametrize(
+    ("format", "mend"), [(1, "train or download it again"), (2, "train or download it again"), (4, "update l2p")]
+)
+def test_another_format_is_refused(file: Path, format: int, mend: str) -> None:
+    save_file(load_file(file), file, {**header(file), "l2p_format": str(format)})
+    with pytest.raises(InputError, match=f"has format {format}, this version of l2p reads format 3; {mend}"):
+        checkpoint.load(file)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("network", None),
+        ("network", "{"),
+        ("network", "7"),
+        ("network", '{"width": 8}'),
+        ("network", '{"width": 8, "layers": 1, "heads": 3, "finest": 0.5, "widest": 2.0}'),
+        ("network", '{"width": "8", "layers": 1, "heads": 2, "finest": 0.5, "widest": 2.0}'),
+        ("learned", None),
+        ("learned", '{"rounds": 2, "candidates": 16, "batch": 64, "peak": {"threshold": 0.5}}'),
+        ("learned", '{"rounds": 2, "candidates": 16, "batch": 64}'),
+        ("calibration", None),
+        ("calibration", "[[1.0]]"),
+        ("radii", None),
+        ("facts", None),
+    ],
+)
+def test_a_damaged_header_is_refused(file: Path, key: str, value: str | None) -> None:
+    metadata = {name: old for name, old in header(file).items() if name != key}
+    save_file(load_file(file), file, metadata if value is None else {**metadata, key: value})
+    with pytest.raises(InputError, match="has a damaged header"):
+        checkpoint.load(file)
+
+
+@pytest.mark.parametrize("calibration", [[], CALIBRATION[:1], [CALIBRATION[0], CALIBRATION[1][:-1]]])
+def test_each_round_and_radius_has_a_calibration(file: Path, calibration: list) -> None:
+    save_file(load_file(file), file, {**header(file), "calibration": json.dumps(calibration)})
+    with pytest.raises(InputError, match="calibrations for 2 rounds; expected one a round and radius"):
+        checkpoint.load(file)
+
+
+@pytest.mark.parametrize("radii", [[0.5, 1.0], [*RADII[:-1], 3.0]])
+def test_other_radii_are_refused(file: Path, radii: list[float]) -> None:
+    save_file(load_file(file), file, {**header(file), "radii": json.dumps(radii)})
+    with pytest.raises(InputError, match=r"knows how sure it is within .* spacings; expected .*; train it again"):
+        checkpoint.load(file)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("judge.bias", None, "lacks tensor judge.bias"),
+        ("other.bias", torch.zeros(3), "has an unknown tensor other.bias"),
+        ("judge.bias", torch.zeros(JUDGED + 1), rf"expected float32 \({JUDGED},\)"),
+        ("judge.bias", torch.zeros(JUDGED, dtype=torch.float64), "expected float32"),
+        ("judge.bias", torch.tensor([0.0, torch.nan] + [0.0] * (JUDGED - 2)), "NaN or infinite in judge.bias"),
+    ],
+)
+def test_wrong_tensors_are_refused(file: Path, name: str, value: torch.Tensor | None, message: str) -> None:
+    tensors, metadata = load_file(file), header(file)
+    tensors.pop(name, None)
+    save_file(tensors if value is None else {**tensors, name: value}, file, metadata)
+    with pytest.raises(InputError, match=message):
+        checkpoint.load(file)

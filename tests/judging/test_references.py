@@ -1,0 +1,165 @@
+"""The bounds know the answer: they are near it, in the right order, and honest about what they replace."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from l2p.attacks.attack import Method
+from l2p.attacks.heuristic import Heuristic
+from l2p.attacks.run import run
+from l2p.errors import InputError
+from l2p.geometry.points import nearest_neighbors
+from l2p.judging.accuracy import errors, spacing
+from l2p.judging.references import CandidateOracle, LeaveOneOut, Oracle
+from l2p.maps.lines import LineCloud
+from l2p.schemes.uniform import lift_indexed
+
+
+@pytest.fixture(scope="module")
+def room(on_walls) -> np.ndarray:
+    return on_walls(1500)
+
+
+@pytest.fixture(scope="module")
+def lifted(room) -> tuple[LineCloud, np.ndarray]:
+    lines, index = lift_indexed(room, seed=1)
+    return lines, room[index]
+
+
+def median(lifted: tuple[LineCloud, np.ndarray], method: Method) -> float:
+    """Median error in spacings."""
+    lines, truth = lifted
+    return float(np.median(errors(run(lines, method).xyz, truth))) / spacing(truth)
+
+
+def test_true_neighbours_give_the_points_of_a_surface(lifted):
+    lines, truth = lifted
+    error = errors(run(lines, Oracle(truth, 10)).xyz, truth) / spacing(truth)
+    assert np.median(error) < 0.15 and (error < 1).mean() > 0.95
+
+
+def test_the_candidate_oracle_lies_between_oracle_and_attack(lifted):
+    _, truth = lifted
+    attack = Heuristic()
+    best, candidates, worst = (median(lifted, m) for m in (Oracle(truth, 50), CandidateOracle(truth, attack), attack))
+    assert best < candidates < worst
+
+
+def test_the_candidate_oracle_votes_with_true_candidates_only(lifted):
+    lines, truth = lifted
+    result = run(lines, CandidateOracle(truth, Heuristic(), k=20, candidates=100))
+    true = nearest_neighbors(truth, 20).index
+    assert result.neighbors is not None
+    for used, neighbors in zip(result.neighbors, true, strict=True):
+        assert set(used[used >= 0]) <= set(neighbors)
+
+
+def test_a_line_without_true_candidates_keeps_the_word_of_the_attack(lifted):
+    lines, truth = lifted
+    attack = run(lines, Heuristic())
+    result = run(lines, CandidateOracle(truth, Heuristic(), k=2, candidates=5))
+    assert result.neighbors is not None
+    none = (result.neighbors < 0).all(axis=1)
+    assert none.any() and not none.all()
+    np.testing.assert_array_equal(result.xyz[none], attack.xyz[none])
+
+
+def test_leave_one_out_is_better_than_the_attack_and_worse_than_few_true_neighbours(lifted):
+    _, truth = lifted
+    assert median(lifted, Oracle(truth, 10)) < median(lifted, LeaveOneOut(truth)) < median(lifted, Heuristic())
+
+
+def test_leave_one_out_finds_the_place_where_the_line_meets_the_scene():
+    # All points but few lie in one plane, and a line meets it once.
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, size=(1500, 3)) * [1, 1, 0.001]
+    lines, index = lift_indexed(points, seed=1)
+    error = errors(run(lines, LeaveOneOut(points[index])).xyz, points[index]) / spacing(points)
+    steep = np.abs(lines.direction[:, 2]) > 0.5
+    assert np.median(error[steep]) < 0.05
+    assert (error[steep] < 0.5).mean() > 0.98
+
+
+def test_leave_one_out_does_not_use_the_lines_own_point(lifted):
+    """A point far from all others cannot be placed: its line goes where the others are."""
+    _, truth = lifted
+    far = truth.copy()
+    far[7] = [40.0, 0, 0]
+    direction = np.random.default_rng(5).normal(size=far.shape)
+    direction[7] = [1, 0.01, 0]
+    result = run(LineCloud.through(far, direction), LeaveOneOut(far))
+    assert np.linalg.norm(result.xyz[7]) < 5
+
+
+@pytest.mark.parametrize(("outliers", "wrong"), [(0.0, 0), (0.25, 10), (0.5, 20), (1.0, 40)])
+def test_a_share_of_the_neighbours_is_wrong(room, outliers, wrong):
+    neighbors = Oracle(room, 40, outliers).neighbors()
+    true = nearest_neighbors(room, 40).index
+    assert neighbors.shape == (1500, 40)
+    assert (neighbors != np.arange(1500)[:, None]).all()
+    assert (neighbors >= 0).all() and (neighbors < 1500).all()
+    kept = (neighbors == true).sum(axis=1)
+    # An outlier drawn at random may hit the very neighbour that it replaces.
+    assert (kept >= 40 - wrong).all() and kept.mean() < 40 - wrong + 0.5
+    if wrong == 20:
+        # Near and far neighbours are replaced alike.
+        np.testing.assert_allclose((neighbors == true).mean(axis=0), 0.5, atol=0.06)
+
+
+def test_the_seed_decides_the_outliers(room):
+    one, same, other = (Oracle(room, 20, 0.5, seed).neighbors() for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 10])
+def test_few_lines_have_bounds(count):
+    points = np.random.default_rng(3).normal(size=(count, 3))
+    lines, index = lift_indexed(points, seed=1)
+    truth = points[index]
+    for method in (Oracle(truth, 50), Oracle(truth, 50, 0.5), CandidateOracle(truth, Heuristic()), LeaveOneOut(truth)):
+        result = run(lines, method)
+        assert np.isfinite(result.xyz).all() and np.isfinite(result.confidence).all()
+
+
+def test_points_in_one_place_have_bounds():
+    # The 50th neighbour of most points is at distance 0, which leaves the kernel no width of its own.
+    points = np.ones((120, 3))
+    points[:30] = np.random.default_rng(0).normal(size=(30, 3))
+    lines = LineCloud.through(points, np.random.default_rng(1).normal(size=(120, 3)))
+    for method in (Oracle(points, 10), CandidateOracle(points, Heuristic()), LeaveOneOut(points)):
+        result = run(lines, method)
+        assert np.isfinite(result.xyz).all() and np.isfinite(result.confidence).all()
+    at_one = errors(run(lines, LeaveOneOut(points)).xyz, points)[30:]
+    assert np.median(at_one) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda points: Oracle(points, 0), "got k = 0; expected at least 1 neighbour"),
+        (lambda points: Oracle(points, 5, 1.5), r"got outliers = 1.5; expected a share in \[0, 1\]"),
+        (lambda points: Oracle(points, 5, -0.1), r"got outliers = -0.1; expected a share in \[0, 1\]"),
+        (lambda points: Oracle(points * np.nan, 5), r"got 1500 line\(s\) with a points that is NaN, infinite"),
+        (lambda points: LeaveOneOut(points * np.inf), r"got \d+ line\(s\) with a points that is NaN, infinite"),
+    ],
+)
+def test_bounds_that_make_no_sense_are_refused(room, build, message):
+    with np.errstate(invalid="ignore"), pytest.raises(InputError, match=message):
+        build(room)
+
+
+@pytest.mark.parametrize("bound", [Oracle, LeaveOneOut, lambda points: CandidateOracle(points, Heuristic())])
+def test_the_true_points_must_be_those_of_the_lines(lifted, bound):
+    lines, truth = lifted
+    with pytest.raises(
+        InputError, match="got 1499 true points for 1500 lines; expected them in the order of the lines"
+    ):
+        run(lines, bound(truth[:-1]))
+
+
+def test_bounds_name_their_settings(room):
+    assert Oracle(room, 10, 0.5, 3).settings() == {"k": 10, "outliers": 0.5, "seed": 3}
+    assert CandidateOracle(room, Heuristic()).settings()["attack"]["rounds"] == 3
+    assert LeaveOneOut(room).settings()["k"] == 128

@@ -1,0 +1,208 @@
+"""The config of ``python -m train``: types of every key, and the one place where it turns into plain objects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
+from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING, DictConfig, OmegaConf
+
+from l2p.attacks.learned.checkpoint import configured
+from l2p.attacks.learned.learned import LearnedConfig
+from l2p.attacks.learned.network import NetworkConfig
+from l2p.errors import InputError
+from l2p.simulator import MAX_POINTS, MIN_POINTS
+from l2p.work.threads import MOST_THREADS
+
+CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+
+
+def _keys_of(kind: type) -> type:
+    """The keys of a frozen dataclass of the package as a node that hydra may write to."""
+    hints = get_type_hints(kind)
+    made = []
+    for entry in fields(kind):
+        of = hints[entry.name]
+        if is_dataclass(of):
+            # The field's own default, such as a round's peak, not the default of its class.
+            values = {name.name: getattr(entry.default, name.name) for name in fields(of)}
+            keys = _keys_of(of)  # type: ignore[arg-type]
+            made.append((entry.name, keys, field(default_factory=lambda keys=keys, values=values: keys(**values))))
+        elif get_origin(of) is tuple:
+            kept = list[get_args(of)[0]]  # OmegaConf knows no tuples
+            default: Any = entry.default
+            made.append((entry.name, kept, field(default_factory=lambda default=default: list(default))))
+        else:
+            made.append((entry.name, of, field(default=entry.default)))
+    return make_dataclass(f"{kind.__name__}Keys", made)
+
+
+NetworkKeys, LearnedKeys = _keys_of(NetworkConfig), _keys_of(LearnedConfig)
+
+
+@dataclass
+class TrainerKeys:
+    """What is handed to Lightning's trainer."""
+
+    accelerator: str = MISSING
+    devices: int = MISSING
+    num_nodes: int = MISSING
+    strategy: str = MISSING
+    precision: str = MISSING
+
+
+@dataclass
+class TrainConfig:
+    """The keys of ``configs/train.yaml``, where each is explained."""
+
+    name: str = MISSING
+    run: str = MISSING
+    seed: int = MISSING
+    scenes: list[str] = MISSING
+    simulated: int = MISSING
+    simulated_points: list[int] = MISSING
+    val: list[str] = MISSING
+    val_fractions: list[float] = MISSING
+    min_lines: int = MISSING
+    max_lines: int = MISSING
+    steps: int = MISSING
+    minutes: float | None = None
+    clouds: int = MISSING
+    lines_per_batch: int = MISSING
+    learning_rate: float = MISSING
+    weight_decay: float = MISSING
+    warmup: int = MISSING
+    averaging: float = MISSING
+    validate_every: int = MISSING
+    patience: int | None = None
+    save_every: int = MISSING
+    threads: int | None = None
+    trainer: TrainerKeys = field(default_factory=TrainerKeys)
+    network: NetworkKeys = field(default_factory=NetworkKeys)  # type: ignore[valid-type]
+    learned: LearnedKeys = field(default_factory=LearnedKeys)  # type: ignore[valid-type]
+
+
+ConfigStore.instance().store(name="train_schema", node=TrainConfig)
+
+
+@dataclass(frozen=True)
+class DataSettings:
+    """Which line clouds are trained and judged on."""
+
+    seed: int
+    scenes: tuple[str, ...]
+    simulated: int
+    simulated_points: tuple[int, int]
+    val: tuple[str, ...]
+    val_fractions: tuple[float, ...]
+    min_lines: int
+    max_lines: int
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How the network is trained."""
+
+    seed: int
+    steps: int
+    minutes: float | None
+    clouds: int
+    lines_per_batch: int
+    learning_rate: float
+    weight_decay: float
+    warmup: int
+    averaging: float
+    validate_every: int
+    patience: int | None
+    save_every: int
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A checked config."""
+
+    threads: int | None
+    data: DataSettings
+    fit: FitSettings
+    network: NetworkConfig
+    learned: LearnedConfig
+    trainer: dict[str, Any]
+    resolved: dict[str, Any]
+
+
+#: Keys that may change between two starts of one run; all others make another model.
+CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "trainer")
+#: The least that whole numbers may be; a single line has no neighbour.
+_LEAST = {
+    "min_lines": 2,
+    **dict.fromkeys(("seed", "simulated", "warmup"), 0),
+    **dict.fromkeys(("steps", "clouds", "lines_per_batch", "validate_every", "patience", "save_every", "threads"), 1),
+}
+
+
+def settings_of(config: DictConfig) -> Settings:
+    """Check the composed config.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+    resolved: Any = OmegaConf.to_container(config, resolve=True)
+    _check(resolved)
+    try:
+        network, learned = (
+            configured(NetworkConfig, resolved["network"]),
+            configured(LearnedConfig, resolved["learned"]),
+        )
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    return Settings(
+        threads=resolved["threads"],
+        data=DataSettings(**_some(DataSettings, resolved)),
+        fit=FitSettings(**_some(FitSettings, resolved)),
+        network=network,
+        learned=learned,
+        trainer=resolved["trainer"],
+        resolved=resolved,
+    )
+
+
+def _some(kind: type, resolved: dict[str, Any]) -> dict[str, Any]:
+    values = {entry.name: resolved[entry.name] for entry in fields(kind)}
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+
+
+def _check(resolved: dict[str, Any]) -> None:
+    for key, least in _LEAST.items():
+        if resolved[key] is not None and resolved[key] < least:
+            raise InputError(f"got {key} {resolved[key]}; expected at least {least}")
+    for key, most in {"seed": 2**63 - 1, "threads": MOST_THREADS}.items():
+        if resolved[key] is not None and resolved[key] > most:
+            raise InputError(f"got {key} {resolved[key]}; expected at most {most}")
+    for key in ("learning_rate", "weight_decay"):
+        if not 0 <= resolved[key] < math.inf:
+            raise InputError(f"got {key} {resolved[key]}; expected a number that is not negative")
+    if resolved["minutes"] is not None and not resolved["minutes"] > 0:
+        raise InputError(f"got minutes {resolved['minutes']}; expected more than 0, or null")
+    if not resolved["scenes"] and resolved["simulated"] < 1:
+        raise InputError("got no scenes and no simulated ones; expected scenes=[FOLDER] or simulated=12")
+    if not resolved["val"]:
+        raise InputError("got no val scenes; expected at least one, to calibrate the confidence")
+    if resolved["max_lines"] < resolved["min_lines"]:
+        raise InputError(f"got max_lines {resolved['max_lines']}; expected at least min_lines, {resolved['min_lines']}")
+    if resolved["learned"]["rounds"] < 1:
+        raise InputError(f"got {resolved['learned']['rounds']} learned.rounds; expected at least 1")
+    points = resolved["simulated_points"]
+    if len(points) != 2 or not MIN_POINTS <= points[0] <= points[1] <= MAX_POINTS:
+        raise InputError(
+            f"got simulated_points {points}; expected [LEAST, MOST], at least {MIN_POINTS}, at most {MAX_POINTS}"
+        )
+    for fraction in resolved["val_fractions"] or [0.0]:
+        if not 0 < fraction <= 1:
+            raise InputError(f"got val fraction {fraction}; expected numbers in (0, 1]")
+    if not 0 <= resolved["averaging"] < 1:
+        raise InputError(f"got averaging {resolved['averaging']}; expected a number in [0, 1)")
