@@ -17,10 +17,10 @@ import sys
 import time
 
 import torch
+from l2p.attacks.learned.features import edges
 
 import l2p
 from l2p.attacks.learned.checkpoint import load, shipped
-from l2p.attacks.learned.features import edges
 from l2p.attacks.learned.learned import find_candidates, first_nodes, weighted_peak
 from l2p.attacks.tomography.reconstruct import reconstruct
 from l2p.geometry.frame import Frame

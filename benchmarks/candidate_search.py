@@ -17,9 +17,9 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+from l2p.attacks.learned.features import nearest_estimates
 
 import l2p
-from l2p.attacks.learned.features import nearest_estimates
 from l2p.geometry import nearest as search
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from l2p.attacks.attack import Method
+from l2p.attacks.attack import Attack
 from l2p.attacks.heuristic import Heuristic, HeuristicConfig
 from l2p.attacks.learned import checkpoint
 from l2p.attacks.run import run
@@ -85,7 +85,7 @@ class Peer:
     timed: ClassVar[bool] = True
     calibrated: ClassVar[bool] = False
 
-    def build(self, trial: Trial) -> Method:
+    def build(self, trial: Trial) -> Attack:
         """The method for this trial."""
         raise NotImplementedError
 
@@ -115,7 +115,7 @@ class LearnedContender(Peer):
         """The checkpoint."""
         return checkpoint.shipped() if self.checkpoint is None else Path(self.checkpoint)
 
-    def build(self, trial: Trial) -> Method:
+    def build(self, trial: Trial) -> Attack:
         """The attack of the checkpoint; its confidence is about the spacing of the full cloud."""
         return checkpoint.load(self.file, rounds=self.rounds, density=trial.fraction)
 
@@ -132,7 +132,7 @@ class HeuristicContender(Peer):
     rounds: int = HeuristicConfig.rounds
     density: float | None = None
 
-    def build(self, trial: Trial) -> Method:
+    def build(self, trial: Trial) -> Attack:
         """The heuristic with the paper's counts for the scene's kind and the fraction."""
         density = trial.fraction if self.density is None else self.density
         return Heuristic(HeuristicConfig(PAPER_KIND[trial.kind], density, self.rounds))
@@ -145,7 +145,7 @@ class TomographyContender(Peer):
     label: str = "tomography"
     rounds: int = TomographicConfig.rounds
 
-    def build(self, trial: Trial) -> Method:
+    def build(self, trial: Trial) -> Attack:
         """The method, the same for every trial."""
         return Tomography(TomographicConfig(rounds=self.rounds))
 
@@ -163,7 +163,7 @@ class OracleContender(Peer):
         wrong = f", {self.outliers:.0%} outliers" if self.outliers else ""
         _default_label(self, f"oracle {self.k}{wrong}")
 
-    def build(self, trial: Trial) -> Method:
+    def build(self, trial: Trial) -> Attack:
         """The oracle; its outliers follow from the seed of the lifting."""
         return Oracle(trial.truth, self.k, self.outliers, trial.seed)
 
@@ -181,7 +181,7 @@ class CandidateOracleContender(Peer):
     def __post_init__(self) -> None:
         _default_label(self, f"candidate oracle {self.k}")
 
-    def build(self, trial: Trial) -> Method:
+    def build(self, trial: Trial) -> Attack:
         """The oracle on the candidates of the attack."""
         return CandidateOracle(trial.truth, self._peer().build(trial), self.k, self.candidates)
 
@@ -204,7 +204,7 @@ class LeaveOneOutContender(Peer):
     k: int = 128
     knows_truth: ClassVar[bool] = True
 
-    def build(self, trial: Trial) -> Method:
+    def build(self, trial: Trial) -> Attack:
         """The bound for these points."""
         return LeaveOneOut(trial.truth, self.k)
 

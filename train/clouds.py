@@ -10,11 +10,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.attacks.learned.features import Nodes, edges
-from l2p.attacks.learned.learned import first_nodes
+from l2p.attacks.attack import Elements
+from l2p.attacks.learned.learned import Learned, State
+from l2p.attacks.learned.nodes import Nodes
 from l2p.attacks.tomography.posterior import Posterior
 from l2p.attacks.tomography.reconstruct import reconstruct
-from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.geometry.points import nearest_neighbors
 from l2p.io.scene_files import load_scene
@@ -42,7 +42,7 @@ class CloudSource:
         return Path(self.scene).stem
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cloud:
     """A line cloud in its working frame, its tomography and its truth.
 
@@ -50,8 +50,9 @@ class Cloud:
     25th true neighbour among them.
     """
 
-    lines: Lines
+    elements: Elements
     posterior: Posterior
+    first_nodes: Nodes
     true_beta: Float[Tensor, " lines"]
     radius: Float[Tensor, " lines"]
     spacing: float
@@ -59,27 +60,28 @@ class Cloud:
     @cached_property
     def true_point(self) -> Float[Tensor, "lines 3"]:
         """True points in the frame."""
-        return self.lines.at(self.true_beta)
+        return self.elements.lines.at(self.true_beta)
 
-    @cached_property
-    def first_nodes(self) -> Nodes:
-        """What is known of the lines before the first round."""
-        return first_nodes(self.lines, self.posterior)
+    def state(self, nodes: Nodes | None = None) -> State:
+        """The state of an attack with these nodes; before the first round, when they are left out."""
+        return State(self.elements, self.posterior, self.first_nodes if nodes is None else nodes)
 
-    def sample(self, nodes: Nodes, candidates: Int[Tensor, "lines k"], rows: Int[Tensor, " rows"]) -> Sample:
+    def sample(
+        self, attack: Learned, nodes: Nodes, candidates: Int[Tensor, "lines k"], rows: Int[Tensor, " rows"]
+    ) -> Sample:
         """Features, votes and truth of some lines."""
         chosen, truth = candidates[rows], self.true_point
         distance = (truth[chosen.clamp_min(0).long()] - truth[rows][:, None]).norm(dim=2)
         return Sample(
-            edges=edges(self.lines, nodes, self.posterior, rows, chosen),
+            edges=attack.edges(self.state(nodes), rows, chosen),
             label=soft_labels(distance, self.radius[rows]),
             true_beta=self.true_beta[rows] - nodes.beta[rows],
             spacing=torch.full((len(rows),), self.spacing),
         )
 
 
-def lifted(source: CloudSource, device: torch.device | str = "cpu") -> Cloud:
-    """The cloud of a source; the same each time."""
+def lifted(source: CloudSource, attack: Learned, device: torch.device | str = "cpu") -> Cloud:
+    """Lift the cloud of a source, the same each time, and do the attack's tomography."""
     points = read(source.scene).xyz
     lines, index = lift_indexed(points, source.seed, source.fraction)
     frame = Frame.of(lines)
@@ -87,9 +89,11 @@ def lifted(source: CloudSource, device: torch.device | str = "cpu") -> Cloud:
     truth = points[index]
     near = nearest_neighbors(truth, TRUE_NEIGHBORS, workers=torch.get_num_threads()).distance[:, -1]
     point = frame.enter_points(truth, device)
+    posterior = reconstruct(inside, attack.config.tomography)
     return Cloud(
-        lines=inside,
-        posterior=reconstruct(inside),
+        elements=Elements(inside, torch.arange(len(lines), device=device), frame),
+        posterior=posterior,
+        first_nodes=attack.first_nodes(inside, posterior),
         true_beta=((point - inside.foot) * inside.direction).sum(dim=1),
         radius=torch.as_tensor(near / frame.unit, dtype=torch.float32, device=device),
         spacing=spacing(truth) / frame.unit,

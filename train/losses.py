@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -9,9 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from l2p.attacks.learned.features import Edges
+from l2p.attacks.learned.edges import Edges
 from l2p.attacks.learned.learned import LearnedConfig, weighted_peak
-from l2p.attacks.learned.network import RADII, Judgement
+from l2p.attacks.learned.network import Judgement
 
 #: A candidate at this many local radii is as likely a true neighbour as not; labels fall over a fifth of that.
 BORDER, SOFTNESS = 1.25, 0.25
@@ -43,7 +44,7 @@ class Losses(NamedTuple):
 
     affinity: Float[Tensor, ""]
     position: Float[Tensor, ""]
-    sure: Float[Tensor, ""]
+    found: Float[Tensor, ""]
     probe: Float[Tensor, ""]
     moved: Float[Tensor, " lines"]
     error: Float[Tensor, " lines"]
@@ -51,7 +52,7 @@ class Losses(NamedTuple):
     @property
     def total(self) -> Float[Tensor, ""]:
         """The sum of the terms."""
-        return self.affinity + self.position + self.sure + self.probe
+        return self.affinity + self.position + self.found + self.probe
 
 
 def soft_labels(distance: Float[Tensor, "lines k"], radius: Float[Tensor, " lines"]) -> Float[Tensor, "lines k"]:
@@ -65,17 +66,18 @@ def losses(
     judgement: Judgement,
     probe: Float[Tensor, " lines"],
     config: LearnedConfig,
+    radii: Sequence[float],
 ) -> Losses:
     """All terms; ``probe`` is what a linear layer reads from the states as the logarithm of the error."""
     with torch.no_grad():
         moved = weighted_peak(judgement, config)
         error = (moved - sample.true_beta).abs() / sample.spacing
-        inside = (error[:, None] <= error.new_tensor(RADII)).to(error.dtype)
+        inside = (error[:, None] <= error.new_tensor(radii)).to(error.dtype)
         size = error.clamp(LEAST_ERROR, MOST_ERROR).log()
     return Losses(
         affinity=affinity_loss(judgement, sample),
         position=position_loss(judgement, sample),
-        sure=functional.binary_cross_entropy_with_logits(judgement.sure, inside),
+        found=functional.binary_cross_entropy_with_logits(judgement.found, inside),
         probe=0.1 * functional.smooth_l1_loss(probe, size),
         moved=moved,
         error=error,

@@ -17,11 +17,10 @@ from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from l2p.attacks.learned.features import STATE
-from l2p.attacks.learned.learned import LearnedConfig
+from l2p.attacks.learned.learned import Learned, LearnedConfig
 from l2p.attacks.learned.network import Judgement, LineTransformer
 from train.clouds import CloudSource, lifted
-from train.judging import errors_by_round
+from train.judging import rounds_of
 from train.losses import losses
 from train.pool import Pool
 from train.sources import Sources
@@ -52,8 +51,9 @@ class NetworkModule(lightning.LightningModule):
         super().__init__()
         self.network = network
         self.average = copy.deepcopy(network).requires_grad_(False)
-        self.probe = nn.Linear(STATE, 1)
-        self.config, self.fit = config, fit
+        self.probe = nn.Linear(network.config.state, 1)
+        # Of the average, which is in evaluation mode: the pool needs no weights.
+        self.attack, self.fit = Learned(self.average, config), fit
         self.sources, self.held_back = sources, held_back
         self.pool: Pool | None = None
         self._pools_before: list[dict[str, Any]] = []
@@ -88,7 +88,7 @@ class NetworkModule(lightning.LightningModule):
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
         self._began = time.monotonic()
         rank, ranks = self.global_rank, self.trainer.world_size
-        self.pool = Pool(self.sources, self.config, self.fit.clouds, self.fit.seed, rank, ranks)
+        self.pool = Pool(self.sources, self.attack, self.fit.clouds, self.fit.seed, rank, ranks)
         if rank < len(self._pools_before):
             self.pool.load_state_dict(self._pools_before[rank])
 
@@ -115,7 +115,7 @@ class NetworkModule(lightning.LightningModule):
         sample = sample.to(self.device)
         judgement = self.network(sample.edges)
         probe = self.probe(judgement.state).squeeze(1)
-        found = losses(sample, judgement, probe, self.config)
+        found = losses(sample, judgement, probe, self.attack.config, self.network.config.radii)
         self.pool.keep(rows, found.moved.cpu(), Judgement(*(part.cpu() for part in judgement)))
         figures = {name: value for name, value in found._asdict().items() if name not in ("moved", "error")}
         figures |= {"median": found.error.median(), "within": (found.error <= 1).float().mean()}
@@ -140,7 +140,8 @@ class NetworkModule(lightning.LightningModule):
         """All rounds of the averaged network on a held-back cloud; each cloud counts the same."""
         figures = torch.zeros(len(_FIGURES))
         if batch < len(self.held_back):
-            error = errors_by_round(lifted(self.held_back[batch], self.device), self.average.eval(), self.config)[-1]
+            self.average.eval()
+            error = rounds_of(lifted(self.held_back[batch], self.attack, self.device), self.attack)[-1].error
             # Capped, so that a network that finds a place twice in the same scene is not infinitely good.
             score = error.median().clamp_min(1e-3).log()
             figures = torch.stack([score, error.median(), (error <= 1).float().mean()]) / len(self.held_back)

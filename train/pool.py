@@ -16,9 +16,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.attacks.learned.features import Edges, Nodes, Told, surroundings
-from l2p.attacks.learned.learned import LearnedConfig, find_candidates, relaxed, told
-from l2p.attacks.learned.network import RADII, Judgement
+from l2p.attacks.learned.edges import Edges
+from l2p.attacks.learned.learned import Learned
+from l2p.attacks.learned.network import Judgement
+from l2p.attacks.learned.nodes import Estimates, Nodes, nodes_of
 from train.clouds import Cloud, CloudSource, lifted
 from train.losses import Sample
 from train.sources import Sources
@@ -40,7 +41,7 @@ class Entry:
     order: Int[Tensor, " lines"]
     turn: int
     beta: Float[Tensor, " lines"]
-    sure: Float[Tensor, "lines radii"]
+    found: Float[Tensor, "lines radii"]
     state: Float[Tensor, "lines state"]
 
 
@@ -50,7 +51,7 @@ class Pool:
     Parameters
     ----------
     sources : Sources
-    config : LearnedConfig
+    attack : Learned
     clouds : int
     seed : int
     rank, ranks : int
@@ -58,9 +59,9 @@ class Pool:
     """
 
     def __init__(
-        self, sources: Sources, config: LearnedConfig, clouds: int, seed: int, rank: int = 0, ranks: int = 1
+        self, sources: Sources, attack: Learned, clouds: int, seed: int, rank: int = 0, ranks: int = 1
     ) -> None:
-        self.sources, self.config, self.seed, self.rank, self.ranks = sources, config, seed, rank, ranks
+        self.sources, self.attack, self.seed, self.rank, self.ranks = sources, attack, seed, rank, ranks
         self.drawn = 0
         self.entries = [self._fresh() for _ in range(clouds)]
 
@@ -68,7 +69,7 @@ class Pool:
         """The next lines of every cloud, as one batch, and their rows in each."""
         rows = [entry.order[entry.turn : entry.turn + lines] for entry in self.entries]
         samples = [
-            entry.cloud.sample(entry.nodes, entry.candidates, rows)
+            entry.cloud.sample(self.attack, entry.nodes, entry.candidates, rows)
             for entry, rows in zip(self.entries, rows, strict=True)
         ]
         return _joined(samples), rows
@@ -77,12 +78,12 @@ class Pool:
     def keep(self, rows: Sequence[Int[Tensor, " rows"]], moved: Float[Tensor, " batch"], judgement: Judgement) -> None:
         """Take what the network says of the drawn lines; ``moved`` is counted from the estimate before."""
         sizes = [len(part) for part in rows]
-        for place, (part, beta, sure, state) in enumerate(
-            zip(rows, moved.split(sizes), judgement.sure.split(sizes), judgement.state.split(sizes), strict=True)
+        for place, (part, beta, found, state) in enumerate(
+            zip(rows, moved.split(sizes), judgement.found.split(sizes), judgement.state.split(sizes), strict=True)
         ):
             entry = self.entries[place]
             entry.beta[part] = entry.nodes.beta[part] + beta
-            entry.sure[part], entry.state[part] = sure, state
+            entry.found[part], entry.state[part] = found, state
             entry.turn += len(part)
             if entry.turn == len(entry.order):
                 self.entries[place] = self._after(entry)
@@ -97,7 +98,7 @@ class Pool:
                     "round": entry.round,
                     "turn": entry.turn,
                     "before": [entry.nodes.beta, entry.nodes.confidence, entry.nodes.state],
-                    "found": [entry.beta, entry.sure, entry.state],
+                    "found": [entry.beta, entry.found, entry.state],
                 }
                 for entry in self.entries
             ],
@@ -109,25 +110,28 @@ class Pool:
         self.entries = []
         for part in state["entries"]:
             source = self.sources[part["number"]]
-            cloud = lifted(source)
-            nodes = surroundings(cloud.lines, Told(*part["before"])) if part["round"] else cloud.first_nodes
+            cloud = lifted(source, self.attack)
+            nodes = cloud.first_nodes
+            if part["round"]:
+                before = Estimates(*part["before"])
+                nodes = nodes_of(cloud.elements.lines, before, self.attack.config.nodes)
             entry = self._entry(source, cloud, part["number"], part["round"], nodes)
             entry.turn = part["turn"]
-            entry.beta, entry.sure, entry.state = (value.clone() for value in part["found"])
+            entry.beta, entry.found, entry.state = (value.clone() for value in part["found"])
             self.entries.append(entry)
 
     def _fresh(self) -> Entry:
         number = self.drawn * self.ranks + self.rank
         self.drawn += 1
         source = self.sources[number]
-        cloud = lifted(source)
+        cloud = lifted(source, self.attack)
         return self._entry(source, cloud, number, 0, cloud.first_nodes)
 
     def _after(self, entry: Entry) -> Entry:
-        if entry.round + 1 >= self.config.rounds:
+        if entry.round + 1 >= self.attack.config.rounds:
             return self._fresh()
-        found = relaxed(entry.nodes, Told(entry.beta, told(entry.sure), entry.state), self.config)
-        nodes = surroundings(entry.cloud.lines, found)
+        estimates = Estimates(entry.beta, self.attack.passed_confidence(entry.found), entry.state)
+        nodes = self.attack.next_nodes(entry.cloud.state(entry.nodes), estimates)
         return self._entry(entry.source, entry.cloud, entry.number, entry.round + 1, nodes)
 
     def _entry(self, source: CloudSource, cloud: Cloud, number: int, round: int, nodes: Nodes) -> Entry:
@@ -138,11 +142,11 @@ class Pool:
             number=number,
             round=round,
             nodes=nodes,
-            candidates=find_candidates(cloud.lines, nodes, self.config),
+            candidates=self.attack.candidates(cloud.elements.lines, nodes),
             order=torch.as_tensor(order),
             turn=0,
             beta=nodes.beta.clone(),
-            sure=nodes.beta.new_zeros(len(nodes.beta), len(RADII)),
+            found=nodes.beta.new_zeros(len(nodes.beta), len(self.attack.network.config.radii)),
             state=torch.zeros_like(nodes.state),
         )
 
@@ -150,13 +154,9 @@ class Pool:
 def _joined(samples: Sequence[Sample]) -> Sample:
     """One batch; small clouds have fewer candidates and are padded."""
     k = max(sample.label.shape[1] for sample in samples)
-    edges = {
-        # The side is one number a line.
-        name: torch.cat([value if name == "side" else _padded(value, k) for value in values])
-        for name, values in ((name, [getattr(sample.edges, name) for sample in samples]) for name in Edges._fields)
-    }
+    columns = zip(*(sample.edges for sample in samples), strict=True)
     return Sample(
-        edges=Edges(**edges),
+        edges=Edges(*(torch.cat([_padded(value, k) for value in values]) for values in columns)),
         label=torch.cat([_padded(sample.label, k) for sample in samples]),
         true_beta=torch.cat([sample.true_beta for sample in samples]),
         spacing=torch.cat([sample.spacing for sample in samples]),

@@ -23,6 +23,7 @@ from lightning.pytorch.utilities.exceptions import SIGTERMException
 
 from l2p.attacks.learned import checkpoint
 from l2p.attacks.learned.checkpoint import Checkpoint
+from l2p.attacks.learned.learned import Learned
 from l2p.attacks.learned.network import LineTransformer
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
@@ -92,7 +93,7 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
             "minutes": round(module.seconds / 60, 2),
             "processes": trainer.world_size,
         }
-        _export(settings, model, command, module.average.cpu().eval(), sources, about)
+        _export(settings, model, command, module.average.cpu(), sources, about)
     return model
 
 
@@ -148,13 +149,19 @@ def _export(
 ) -> None:
     """Calibrate and judge the network on the held-back clouds; then the checkpoint, and the facts about it as JSON."""
     held_back = validation_sources(settings.data)
+    attack = Learned(network, settings.learned)
     judged: list[list[Judged]] = []
     with terminal_progress().task("held-back clouds", total=len(held_back)) as advance:
         for source in held_back:
-            judged.append(rounds_of(lifted(source), network, settings.learned))
+            judged.append(rounds_of(lifted(source, attack), attack))
             advance(1)
-    calibration = [calibrate(cast("Sequence[Judged]", part)) for part in zip(*judged, strict=True)]
-    results = [figures(source, part, calibration[-1]) for source, part in zip(held_back, judged, strict=True)]
+    calibration = [
+        calibrate(cast("Sequence[Judged]", part), network.config.radii) for part in zip(*judged, strict=True)
+    ]
+    results = [
+        figures(source, part, calibration[-1], network.config.one)
+        for source, part in zip(held_back, judged, strict=True)
+    ]
     for row in results:
         log.info("%(scene)s at %(fraction)g: median %(median)s, within %(within)s", row)
     facts = {

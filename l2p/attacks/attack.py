@@ -1,74 +1,135 @@
-"""What an attack is: anything that places a point on each line; and the order that lines decide themselves."""
+"""The contract of an attack: what it is given, what it returns, and the rounds in between.
+
+:mod:`l2p.attacks.run` drives every attack through the same loop::
+
+    state = attack.begin(elements, saved, work)
+    for each round that is not saved yet:
+        state = attack.step(state, work)       # and attack.saved(state) is saved
+    estimate = attack.finish(state, work)
+
+so that resuming, sharing lines out over processes and progress come with the loop and not with the attack.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
-from l2p.work.journal import Rounds
-from l2p.work.progress import NO_PROGRESS, Progress
-from l2p.work.shards import ALONE, Shards
+from l2p.work.work import Work
+
+
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """A map as an attack sees it: lines as tensors in the working frame, in an order of their own.
+
+    Sums, and choices between equals, depend on the order of the lines; sorted by their coordinates they give the same
+    points however they come (:mod:`l2p.geometry.frame`).
+
+    Attributes
+    ----------
+    lines : Lines
+        In the working frame.
+    row : (lines,) int64
+        Row of each line in the map as it was given.
+    frame : Frame
+        Leads to scene units, for references that know the truth.
+    attributes : mapping
+        Published beside the lines, one row per line: ``rgb`` (lines, 3) in [0, 1].
+    """
+
+    lines: Lines
+    row: Int[Tensor, " lines"]
+    frame: Frame
+    attributes: Mapping[str, Shaped[Tensor, "lines ..."]] = field(default_factory=dict)
+
+    @classmethod
+    def sorted(cls, lines: Lines, frame: Frame, attributes: Mapping[str, Shaped[Tensor, "lines ..."]]) -> Elements:
+        """Sort lines, given in the order of the map, by their coordinates."""
+        key = torch.cat([lines.direction, lines.moment], dim=1).cpu().numpy()
+        row = torch.as_tensor(np.lexsort(key.T), device=lines.direction.device)
+        return cls(lines.rows(row), row, frame, {name: value[row] for name, value in attributes.items()})
+
+    def __len__(self) -> int:
+        return len(self.row)
 
 
 class Estimate(NamedTuple):
-    """A position on each line, in the working frame, and what it rests on.
+    """Positions on lines, in the working frame, and what they rest on; of the lines of this process.
 
     ``confidence`` is in [0, 1], 0 where a line had no vote and was placed next to the centre. ``neighbors`` is -1 and
-    ``affinity`` 0 where a line has fewer than k neighbours.
+    ``affinity`` 0 where a line has fewer than k neighbours. ``element`` is the line of each position, for attacks that
+    place several points on a line or none; None: one on each line, in order.
     """
 
-    beta: Float[Tensor, " lines"]
-    confidence: Float[Tensor, " lines"]
-    neighbors: Int[Tensor, "lines k"]
-    affinity: Float[Tensor, "lines k"]
+    beta: Float[Tensor, " points"]
+    confidence: Float[Tensor, " points"]
+    neighbors: Int[Tensor, "points k"]
+    affinity: Float[Tensor, "points k"]
+    element: Int[Tensor, " points"] | None = None
 
 
-@runtime_checkable
-class Method(Protocol):
-    """Anything that places a point on each line; all attacks, bounds and users' own methods share this call."""
+class Attack:
+    """The base of all attacks, references and users' own methods; ``finish`` is all that one without rounds writes.
 
-    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
-        """Place the points, in the working frame; ``frame`` leads to scene units for those that know the truth."""
-        ...
+    Attributes
+    ----------
+    rounds : int
+        Times that ``step`` is called.
+    calibrated : bool
+        The confidence is the probability of lying within 1 spacing, and does not only rank.
+    line_bytes : float or None
+        Bytes held per line, besides the temporaries of blocks; None: memory is not bounded.
+    columns : mapping
+        Name of each tensor that is saved after a round, and its shape per line.
+    """
+
+    rounds: int = 0
+    calibrated: bool = False
+    line_bytes: float | None = None
+    columns: Mapping[str, tuple[int, ...]] = {}
+
+    def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> Any:
+        """Return the state before the first round, or after the last saved one.
+
+        Parameters
+        ----------
+        elements : Elements
+            All lines, also where several processes share them.
+        saved : mapping or None
+            Tensors of all lines, by the names in ``columns``; None for a fresh run.
+        """
+        return elements
+
+    def step(self, state: Any, work: Work) -> Any:
+        """Return the state after one more round."""
+        raise NotImplementedError
+
+    def saved(self, state: Any) -> Mapping[str, Tensor]:
+        """Return the tensors of all lines that ``begin`` needs to continue; entries of the state by default."""
+        return {name: getattr(state, name) for name in self.columns}
+
+    def finish(self, state: Any, work: Work) -> Estimate:
+        """Place the points of this process's lines, ``work.own``."""
+        raise NotImplementedError
 
     def settings(self) -> dict[str, Any]:
-        """Plain values that say what was run, for the record."""
-        ...
+        """Return plain values that say what was run, for the record."""
+        return {}
 
 
-@runtime_checkable
-class MethodInRounds(Method, Protocol):
-    """A method that several processes can share, and that can go on from a round."""
-
-    def locate_in_rounds(self, lines: Lines, frame: Frame, progress: Progress, rounds: Rounds) -> Estimate:
-        """Place the points as ``locate`` does; the first process has the answer, the others that of their own lines."""
-        ...
-
-
-def own_order(lines: Lines) -> Int[Tensor, " lines"]:
-    """The lines sorted by their coordinates."""
-    key = torch.cat([lines.direction, lines.moment], dim=1).cpu().numpy()
-    return torch.as_tensor(np.lexsort(key.T), device=lines.direction.device)
-
-
-def in_own_order(lines: Lines, locate: Callable[[Lines], Estimate], shards: Shards = ALONE) -> Estimate:
-    """What ``locate`` makes of the lines in an order that they decide themselves, in the order that they came in.
-
-    Sums, and choices between equals, depend on the order; see :mod:`l2p.geometry.frame`. Of several processes, the
-    first one has the answer, the others nothing.
-    """
-    order = own_order(lines)
-    found = Estimate(*(shards.collect(part, len(order)) for part in locate(lines.rows(order))))
-    if shards.rank > 0:
-        return found
-    place = order.argsort()
-    near = found.neighbors[place]
-    named = order[near.clamp_min(0).long()].to(near.dtype).masked_fill(near < 0, -1)
-    return Estimate(found.beta[place], found.confidence[place], named, found.affinity[place])
+def locate(attack: Attack, elements: Elements, work: Work) -> Estimate:
+    """Run an attack from its last saved round to its end."""
+    rounds, saved = work.resumed(attack.columns, elements.lines.direction[:, 0])
+    state = attack.begin(elements, saved, work)
+    for number in range(rounds, attack.rounds):
+        state = attack.step(state, work)
+        work.save(number + 1, attack.saved(state))
+    return attack.finish(state, work)

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.attacks.attack import Estimate, in_own_order
+from l2p.attacks.attack import Attack, Elements, Estimate
 from l2p.attacks.peak import PeakConfig
 from l2p.attacks.settings import SCENE_KINDS
-from l2p.attacks.votes import _equal, member, peaks, vote
+from l2p.attacks.votes import equal_weights, member, peaks, vote
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
-from l2p.geometry.frame import Frame
-from l2p.geometry.nearest import (
-    nearest_lines_to_lines,
-    nearest_lines_to_points,
-    nearest_points_to_lines,
-)
-from l2p.work.journal import Rounds
-from l2p.work.progress import NO_PROGRESS, Progress
-from l2p.work.shards import Shards
+from l2p.geometry.nearest import nearest_lines_to_lines, nearest_lines_to_points, nearest_points_to_lines
+from l2p.work.work import Work
 
 
 @dataclass(frozen=True)
@@ -72,52 +66,56 @@ class HeuristicConfig:
         ]
 
 
-class Heuristic:
+class _State(NamedTuple):
+    """Estimates of all lines, and neighbours of this process's lines around them."""
+
+    lines: Lines
+    beta: Float[Tensor, " lines"]
+    neighbors: Int[Tensor, "own k"]
+
+
+class Heuristic(Attack):
     """The paper's attack: the nearest lines first, then those that are near both ways, N_pl and N_lp.
 
-    Self is excluded and origins are canonical; the published code has neither, which favours it (``docs/``,
-    "Fairness").
+    O(rounds x lines^2) time, O(lines k) memory. Self is excluded and origins are canonical; the published code has
+    neither, which favours it (``docs/``, "Fairness").
     """
+
+    columns: Mapping[str, tuple[int, ...]] = {"beta": ()}
 
     def __init__(self, config: HeuristicConfig | None = None) -> None:
         self.config = config or HeuristicConfig()
+        self.rounds = self.config.rounds
+        # Measured by benchmarks/recover.py.
+        self.line_bytes = 1000 + 24 * self.config.coarse
 
-    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
-        """Coarse stage and refinements; O(rounds x lines^2) time, O(lines k) memory."""
-        return self.locate_in_rounds(lines, frame, progress, Rounds())
+    def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> _State:
+        """Find the nearest lines, or the mutual neighbours of saved estimates."""
+        lines = elements.lines
+        if saved is not None:
+            return self._around(lines, saved["beta"], work)
+        near = nearest_lines_to_lines(lines, self.config.coarse, work=work)
+        return _State(lines, lines.direction[:, 0], near.index)
 
-    def locate_in_rounds(self, lines: Lines, frame: Frame, progress: Progress, rounds: Rounds) -> Estimate:
-        """The same by several processes, and from the last round that was kept."""
-        return in_own_order(lines, lambda lines: self._refined(lines, progress, rounds), rounds.shards)
+    def step(self, state: _State, work: Work) -> _State:
+        """Take the peak of the neighbours' votes, then the neighbours of the new estimates."""
+        lines, neighbors = state.lines, state.neighbors
+        beta = peaks(lines, neighbors, equal_weights(lines, neighbors), self.config.peak, work)
+        return self._around(lines, work.gather(beta, len(lines.direction)), work)
 
-    def _refined(self, lines: Lines, progress: Progress, rounds: Rounds) -> Estimate:
-        shards, peak = rounds.shards, self.config.peak
-        done, kept = rounds.last({"beta": lines.direction[:, 0]})
-        if done:
-            neighbors = self._mutual(lines, lines.at(kept["beta"]), progress, shards)
-        else:
-            neighbors = nearest_lines_to_lines(lines, self.config.coarse, progress=progress, shards=shards).index
-        for number in range(done, self.config.rounds):
-            part = peaks(lines, neighbors, _equal(lines, neighbors), peak, progress, shards)
-            beta = shards.gather(part, len(lines.direction))
-            rounds.keep(number + 1, {"beta": beta})
-            neighbors = self._mutual(lines, lines.at(beta), progress, shards)
-        return vote(lines, neighbors, peak=peak, progress=progress, shards=shards)
+    def finish(self, state: _State, work: Work) -> Estimate:
+        """Vote once more."""
+        return vote(state.lines, state.neighbors, peak=self.config.peak, work=work)
 
-    def _mutual(
-        self, lines: Lines, points: Float[Tensor, "lines 3"], progress: Progress, shards: Shards
-    ) -> Int[Tensor, "own k"]:
-        near_line = nearest_points_to_lines(lines, points, self.config.fine, progress=progress, shards=shards).index
-        near_point = nearest_lines_to_points(points, lines, self.config.fine, progress=progress, shards=shards).index
+    def _around(self, lines: Lines, beta: Float[Tensor, " lines"], work: Work) -> _State:
+        """The neighbours N_pl of each line that are also in N_lp of its estimate, where these are enough."""
+        points = lines.at(beta)
+        near_line = nearest_points_to_lines(lines, points, self.config.fine, work=work).index
+        near_point = nearest_lines_to_points(points, lines, self.config.fine, work=work).index
         both = member(near_line, near_point)
         enough = both.sum(dim=1, keepdim=True) > self.config.intersection
-        return near_line.masked_fill(~both & enough, -1)
-
-    @property
-    def line_bytes(self) -> float:
-        """What is held of each line (``benchmarks/memory.py``)."""
-        return 1000 + 24 * self.config.coarse
+        return _State(lines, beta, near_line.masked_fill(~both & enough, -1))
 
     def settings(self) -> dict[str, Any]:
-        """The configuration, and the neighbour counts that it led to."""
+        """The configuration, and the neighbour counts that it leads to."""
         return {**asdict(self.config), "coarse": self.config.coarse, "fine": self.config.fine}

@@ -37,33 +37,11 @@ class PeakConfig:
     trim : int
         Lowest and highest votes that are dropped first; fewer where that would leave fewer than ``minimum``.
         Near-parallel neighbours vote for places far outside the scene.
-    rule : str
-        ``single``: the least and the greatest F - U of all votes bound the peak, the greatest sought after the
-        least (main text). ``several``: the line is cut where U overtakes F, and of the segments, one a peak,
-        the one with the greatest statistic is kept (appendix).
     """
 
     threshold: float = 0.3
     minimum: int = 5
     trim: int = 5
-    rule: str = "several"
-
-    def __post_init__(self) -> None:
-        if self.rule not in ("single", "several"):
-            raise ValueError(f"got peak rule {self.rule!r}; expected 'single' or 'several'")
-
-
-class Peak(NamedTuple):
-    """Peaks of each line's votes.
-
-    ``beta`` is the weighted median of the votes in the peak (NaN if a line has no valid vote), ``statistic`` the
-    greatest Kuiper statistic met on the way, in [0, 1] (0 for fewer than two distinct votes), ``width`` the length of
-    the last interval.
-    """
-
-    beta: Float[Tensor, " lines"]
-    statistic: Float[Tensor, " lines"]
-    width: Float[Tensor, " lines"]
 
 
 class _Votes(NamedTuple):
@@ -78,8 +56,8 @@ def find_peak(
     beta: Float[Tensor, "lines k"],
     weight: Float[Tensor, "lines k"] | None = None,
     config: PeakConfig | None = None,
-) -> Peak:
-    """Find the peak of the votes of each line.
+) -> Float[Tensor, " lines"]:
+    """Find the peak of the votes of each line: the weighted median of the votes in it, NaN without a valid vote.
 
     Parameters
     ----------
@@ -90,21 +68,19 @@ def find_peak(
 
     Notes
     -----
-    O(k log k) a line. One vote is its own peak; equal votes are a peak of statistic 0 and width 0.
+    O(k log k) per line. One vote is its own peak, and so are equal votes.
     """
     config = config or PeakConfig()
     weight = torch.ones_like(beta) if weight is None else weight
     votes = _trimmed(_packed(beta, weight), config)
     lines = beta.shape[0]
-    statistic = beta.new_zeros(lines)
     first = torch.zeros(lines, dtype=torch.int64, device=beta.device)
     count = votes.count.clone()
 
     active = torch.nonzero(count > config.minimum).flatten()
     inner = _slice(votes, active, first[active], count[active])
     while len(active):
-        low, high, value = _interval(inner, config.rule)
-        statistic[active] = torch.maximum(statistic[active], value)
+        low, high, value = _interval(inner)
         length = high - low + 1
         # The interval holds even where its statistic ends the search, as in the published code.
         again = (value >= config.threshold) & (length > config.minimum) & (length < inner.count)
@@ -113,7 +89,7 @@ def find_peak(
         rows = torch.nonzero(again).flatten()
         active, low, length = active[again], low[again], length[again]
         inner = _slice(inner, rows, low, length)
-    return _median(votes, first, count, statistic)
+    return _median(votes, first, count)
 
 
 def settled(
@@ -185,7 +161,7 @@ def _slice(
     return _Votes(beta.masked_fill_(absent, torch.inf), weight.masked_fill_(absent, 0), count)
 
 
-def _interval(votes: _Votes, rule: str) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines"], Float[Tensor, " lines"]]:
+def _interval(votes: _Votes) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines"], Float[Tensor, " lines"]]:
     """First and last vote of the peak of each line, and Kuiper's statistic of it."""
     absent = torch.arange(votes.beta.shape[1], device=votes.beta.device) >= votes.count[:, None]
     last = votes.count[:, None] - 1
@@ -197,18 +173,9 @@ def _interval(votes: _Votes, rule: str) -> tuple[Int[Tensor, " lines"], Int[Tens
     after = cumulative / total - uniform
     before = (cumulative - votes.weight) / total - uniform
     before, after = before.masked_fill_(absent, torch.inf), after.masked_fill_(absent, -torch.inf)
-    low, high, value = _single_peak(before, after) if rule == "single" else _best_segment(before, after)
+    low, high, value = _best_segment(before, after)
     # All votes in one place: F - U means nothing there.
     return low, high, value.masked_fill(span[:, 0] <= 0, 0).clamp(0, 1)
-
-
-def _single_peak(
-    before: Float[Tensor, "lines k"], after: Float[Tensor, "lines k"]
-) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines"], Float[Tensor, " lines"]]:
-    lowest, low = before.min(dim=1)
-    position = torch.arange(before.shape[1], device=before.device)
-    highest, high = after.masked_fill(position < low[:, None], -torch.inf).max(dim=1)
-    return low, high, highest - lowest
 
 
 def _best_segment(
@@ -232,21 +199,16 @@ def _best_segment(
     return low, before.shape[1] - 1 - last, greatest
 
 
-def _median(
-    votes: _Votes, first: Int[Tensor, " lines"], count: Int[Tensor, " lines"], statistic: Float[Tensor, " lines"]
-) -> Peak:
+def _median(votes: _Votes, first: Int[Tensor, " lines"], count: Int[Tensor, " lines"]) -> Float[Tensor, " lines"]:
     """Weighted median of each line's interval; the mean of the two middle votes where they share the middle."""
     everything = torch.arange(len(count), device=count.device)
     inner = _slice(votes, everything, first, count)
-    empty = count == 0
     if inner.beta.shape[1] == 0:
-        nothing = torch.full_like(statistic, torch.nan)
-        return Peak(nothing, statistic, nothing)
+        return inner.beta.new_full((len(count),), torch.nan)
     cumulative = inner.weight.cumsum(dim=1)
     last = (count - 1).clamp_min(0)[:, None]
     half = torch.gather(cumulative, 1, last) / 2
     middle = torch.minimum((cumulative < half).sum(dim=1, keepdim=True), last)
     upper = torch.minimum((cumulative <= half).sum(dim=1, keepdim=True), last)
     beta = (torch.gather(inner.beta, 1, middle) + torch.gather(inner.beta, 1, upper))[:, 0] / 2
-    width = (torch.gather(inner.beta, 1, last) - inner.beta[:, :1])[:, 0]
-    return Peak(beta.masked_fill(empty, torch.nan), statistic, width.masked_fill(empty, torch.nan))
+    return beta.masked_fill(count == 0, torch.nan)

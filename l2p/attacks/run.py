@@ -6,13 +6,16 @@ import hashlib
 import json
 import math
 import time
+from dataclasses import replace
 from os import PathLike
 from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Int
+from torch import Tensor
 
-from l2p.attacks.attack import Method, MethodInRounds
+from l2p.attacks.attack import Attack, Elements, Estimate, locate
 from l2p.attacks.heuristic import Heuristic, HeuristicConfig
 from l2p.attacks.learned.checkpoint import load, shipped
 from l2p.attacks.settings import DEFAULT_METHOD, METHODS, SETTINGS
@@ -23,10 +26,10 @@ from l2p.geometry.frame import Frame
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.version import __version__
-from l2p.work.journal import Rounds
-from l2p.work.memory import allotted, room
+from l2p.work.memory import allotted
 from l2p.work.progress import NO_PROGRESS, Progress
 from l2p.work.shards import Shards
+from l2p.work.work import ALONE, Work
 
 
 def recover(
@@ -90,18 +93,18 @@ def recover(
     >>> l2p.recover(l2p.lift(points, seed=0), method="tomography").confidence.shape
     (200,)
     """
-    chosen = named_method(method, checkpoint=checkpoint, rounds=rounds, scene_kind=scene_kind, density=density)
-    return run(lines, chosen, device=device, memory=memory, progress=progress, name=method)
+    chosen = named_attack(method, checkpoint=checkpoint, rounds=rounds, scene_kind=scene_kind, density=density)
+    return run(lines, chosen, device=device, memory=memory, work=Work(progress=progress), name=method)
 
 
-def named_method(
+def named_attack(
     name: str,
     *,
     checkpoint: str | PathLike[str] | None = None,
     rounds: int | None = None,
     scene_kind: str | None = None,
     density: float | None = None,
-) -> Method:
+) -> Attack:
     """The attack of that name, ready to run; what is None is left to its configuration."""
     if name not in METHODS:
         raise InputError(f"got method {name!r}; expected one of {', '.join(METHODS)}")
@@ -122,42 +125,37 @@ def named_method(
 
 def run(
     lines: LineCloud,
-    method: Method,
+    attack: Attack,
     *,
     device: str = "cpu",
     memory: float | None = None,
-    progress: Progress = NO_PROGRESS,
+    work: Work = ALONE,
     name: str = "",
-    rounds: Rounds | None = None,
 ) -> Recovery:
-    """Run any method, an attack, a bound or a user's own, on a line cloud.
+    """Run any attack, a bound or a user's own, on a line cloud.
 
-    ``memory`` (GiB a process) bounds methods that say how many bytes they hold of each line, in an attribute
-    ``line_bytes``. With ``rounds``, several processes share the lines of this one, the first, while :func:`assist` runs
-    in the others; and the run goes on from the last round in the journal.
+    With several processes in ``work.shards``, this is the first one; :func:`assist` runs in the others. The run
+    continues from the last round in ``work.journal``. ``memory`` (GiB per process) bounds attacks that say how many
+    bytes they hold per line.
     """
     if len(lines) == 0:
         raise InputError("got a line cloud without lines; expected at least one line")
     where = usable_device(device)
-    size = _room(method, where, memory, len(lines), 1 if rounds is None else rounds.shards.processes)
+    work = replace(work, room=_room(attack, where, memory, len(lines), work))
     began = time.perf_counter()
-    if rounds is not None:
-        rounds.shards.check(len(lines))
-        rounds.journal.begin(_about(lines, method, name))
+    work.shards.check(len(lines))
+    work.journal.begin(_about(lines, attack, name))
     frame = Frame.of(lines)
-    with torch.inference_mode(), room(size):
-        inside = frame.enter(lines, where)
-        if rounds is None:
-            estimate = method.locate(inside, frame, progress)
-        else:
-            sharing = _in_rounds(method)
-            if rounds.shards.processes > 1:
-                inside, frame = _told(rounds.shards, method, where, inside, frame)
-            estimate = sharing.locate_in_rounds(inside, frame, progress, rounds)
+    with torch.inference_mode():
+        attributes = {} if lines.rgb is None else {"rgb": torch.as_tensor(lines.rgb / np.float32(255), device=where)}
+        elements = Elements.sorted(frame.enter(lines, where), frame, attributes)
+        _check_same(work.shards, attack, where)
+        _send(elements, work.shards)
+        estimate = _in_map_order(_collected(locate(attack, elements, work), len(elements), work), elements.row)
     beta = frame.leave(lines, estimate.beta)
     info = {
-        "method": name or type(method).__name__,
-        "settings": method.settings(),
+        "method": name or type(attack).__name__,
+        "settings": attack.settings(),
         "device": str(where),
         "seconds": time.perf_counter() - began,
     }
@@ -172,68 +170,94 @@ def run(
     )
 
 
-def assist(method: Method, shards: Shards, *, device: str = "cpu", memory: float | None = None) -> None:
-    """Do the share of this process, another than the first, of what :func:`run` does in the first one.
+def assist(attack: Attack, shards: Shards, *, device: str = "cpu", memory: float | None = None) -> None:
+    """Do this process's share, another than the first, of what :func:`run` does in the first one.
 
     Raises
     ------
     InputError
-        If this process has another method, other settings, another checkpoint or another version of l2p than the first.
+        If this process has another attack, other settings, another checkpoint or another version of l2p than the first.
     """
-    where, sharing = usable_device(device), _in_rounds(method)
+    where, work = usable_device(device), Work(shards)
     with torch.inference_mode():
-        lines, frame = _told(shards, method, where)
-        with room(_room(method, where, memory, len(lines.direction), shards.processes)):
-            sharing.locate_in_rounds(lines, frame, NO_PROGRESS, Rounds(shards))
+        _check_same(shards, attack, where)
+        elements = _received(shards, where)
+        work = replace(work, room=_room(attack, where, memory, len(elements), work))
+        _collected(locate(attack, elements, work), len(elements), work)
 
 
-def _room(method: Method, where: torch.device, memory: float | None, lines: int, processes: int) -> int | None:
-    """Bytes that blocks have in this process; None where nothing bounds them."""
-    line_bytes = getattr(method, "line_bytes", None)
-    if line_bytes is None or (memory is None and where.type != "cpu"):
-        return None
-    return allotted(memory, math.ceil(lines / processes), line_bytes)
-
-
-def _in_rounds(method: Method) -> MethodInRounds:
-    if not isinstance(method, MethodInRounds):
+def _collected(estimate: Estimate, count: int, work: Work) -> Estimate:
+    """The estimates of all processes, at the first one; ``element`` counts all lines."""
+    if estimate.element is None:
+        return Estimate(*(work.shards.collect(column, count) for column in estimate[:4]))
+    if work.shards.processes > 1:
         raise InputError(
-            f"got {type(method).__name__} to share out or to go on with; expected a method with locate_in_rounds"
+            "got an attack that places several points on a line, or none; expected one process for it, so leave out "
+            "--processes"
         )
-    return method
+    return estimate
 
 
-def _about(lines: LineCloud, method: Method, name: str) -> dict[str, Any]:
+def _in_map_order(estimate: Estimate, row: Int[Tensor, " lines"]) -> Estimate:
+    """Estimates in the order of the lines as they were given; ``row`` says where each line stood."""
+    line = row if estimate.element is None else row[estimate.element]
+    order = line.argsort(stable=True)
+    near = estimate.neighbors[order]
+    named = row[near.clamp_min(0).long()].to(near.dtype).masked_fill(near < 0, -1)
+    element = None if estimate.element is None else line[order]
+    return Estimate(estimate.beta[order], estimate.confidence[order], named, estimate.affinity[order], element)
+
+
+def _room(attack: Attack, where: torch.device, memory: float | None, lines: int, work: Work) -> int | None:
+    """Bytes for the blocks of this process; None where nothing bounds them."""
+    if attack.line_bytes is None or (memory is None and where.type != "cpu"):
+        return None
+    return allotted(memory, math.ceil(lines / work.shards.processes), attack.line_bytes)
+
+
+def _about(lines: LineCloud, attack: Attack, name: str) -> dict[str, Any]:
     """What makes a run the same as another, for its journal."""
-    digest = hashlib.sha256()
-    for part in (lines.direction, lines.moment):
-        digest.update(part.tobytes())
+    digest = hashlib.sha256(lines.direction.tobytes() + lines.moment.tobytes())
     return {
         "lines": digest.hexdigest(),
-        "method": name or type(method).__name__,
-        "settings": method.settings(),
+        "method": name or type(attack).__name__,
+        "settings": attack.settings(),
         "l2p": __version__,
     }
 
 
-def _told(
-    shards: Shards, method: Method, where: torch.device, lines: Lines | None = None, frame: Frame | None = None
-) -> tuple[Lines, Frame]:
-    """The lines and the frame of the first process, the same bits at all of them."""
-    same = json.dumps([__version__, type(method).__name__, method.settings()], sort_keys=True)
+def _check_same(shards: Shards, attack: Attack, where: torch.device) -> None:
+    """Refuse a process that was started with other words than the first."""
+    same = json.dumps([__version__, type(attack).__name__, attack.settings()], sort_keys=True)
     own = torch.frombuffer(bytearray(hashlib.sha256(same.encode()).digest()), dtype=torch.uint8).to(where)
     if not torch.equal(shards.first(own.clone()), own):
         raise InputError(
             f"process {shards.rank} has another method, other settings, another checkpoint or another version of l2p "
             "than the first; start all with the same words"
         )
-    if lines is not None and frame is not None:
-        facts = torch.tensor([len(lines.direction), *frame.center, frame.unit, *frame.axes.flat], dtype=torch.float64)
-        shards.first(facts.to(where))
-        return Lines(*(shards.first(part) for part in lines)), frame
-    facts = shards.first(torch.empty(14, dtype=torch.float64, device=where)).cpu().numpy()
-    frame = Frame(facts[1:4], float(facts[4]), facts[5:].reshape(3, 3))
-    return Lines(*(shards.first(torch.empty(int(facts[0]), 3, device=where)) for _ in range(2))), frame
+
+
+def _send(elements: Elements, shards: Shards) -> None:
+    """Send the lines of the first process to the others, the same bits everywhere."""
+    if shards.processes == 1:
+        return
+    shapes = {name: list(value.shape[1:]) for name, value in elements.attributes.items()}
+    header = {"lines": len(elements), "frame": elements.frame.as_dict(), "attributes": shapes}
+    shards.first_json(header, elements.row.device)
+    for tensor in (*elements.lines, elements.row, *elements.attributes.values()):
+        shards.first(tensor)
+
+
+def _received(shards: Shards, where: torch.device) -> Elements:
+    """Receive the lines of the first process."""
+    header = shards.first_json(None, where)
+    count = header["lines"]
+    direction, moment = (shards.first(torch.empty(count, 3, device=where)) for _ in range(2))
+    row = shards.first(torch.empty(count, dtype=torch.int64, device=where))
+    attributes = {
+        name: shards.first(torch.empty(count, *shape, device=where)) for name, shape in header["attributes"].items()
+    }
+    return Elements(Lines(direction, moment), row, Frame.from_dict(header["frame"]), attributes)
 
 
 def usable_device(name: str) -> torch.device:

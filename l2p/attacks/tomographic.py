@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
-from l2p.attacks.attack import Estimate, in_own_order
+from jaxtyping import Float
+from torch import Tensor
+
+from l2p.attacks.attack import Attack, Elements, Estimate
 from l2p.attacks.peak import PeakConfig
-from l2p.attacks.tomography.posterior import mass_within, modes
-from l2p.attacks.tomography.reconstruct import LINE_BYTES as TOMOGRAPHY_BYTES
-from l2p.attacks.tomography.reconstruct import TomographyConfig, reconstruct
-from l2p.attacks.votes import _equal, peaks
+from l2p.attacks.tomography.posterior import Posterior, mass_within, modes
+from l2p.attacks.tomography.reconstruct import LINE_BYTES, TomographyConfig, reconstruct
+from l2p.attacks.votes import equal_weights, peaks
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
-from l2p.geometry.frame import Frame
-from l2p.geometry.nearest import (
-    nearest_points_to_points,
-)
-from l2p.work.journal import Rounds
-from l2p.work.progress import NO_PROGRESS, Progress
+from l2p.geometry.nearest import Nearest, nearest_points_to_points
+from l2p.work.work import Work
 
 
 @dataclass(frozen=True)
@@ -30,9 +29,9 @@ class TomographicConfig:
     tomography : TomographyConfig
         The coarse stage.
     nearest : int
-        Lines that vote: those whose estimates are nearest to a line's own.
+        Voters: the lines whose estimates are nearest to a line's own.
     rounds : int
-        Times that the votes are taken, first around the modes of the posterior, then around the estimates of the time
+        Times that the votes are taken, first around the modes of the posterior, then around the estimates of the round
         before; 0 leaves the modes.
     peak : PeakConfig
     """
@@ -47,46 +46,53 @@ class TomographicConfig:
             raise InputError(f"got {self.rounds} rounds; expected 0 (the modes alone) or more")
 
 
-class Tomography:
+class _State(NamedTuple):
+    """Posterior of this process's lines, estimates of all lines, and the estimates nearest to each of its own."""
+
+    lines: Lines
+    posterior: Posterior
+    beta: Float[Tensor, " lines"]
+    near: Nearest
+
+
+class Tomography(Attack):
     """The mode of the tomographic posterior, then the votes of the lines whose modes are near
     (:mod:`l2p.attacks.tomography.reconstruct`).
 
-    The confidence is the posterior probability within twice the median distance of the voters: it ranks, and is not
-    calibrated.
+    O(lines x segments) for the posterior, O(lines log lines) for the search of the voters. The confidence is the
+    posterior probability within twice the median distance of the voters: it ranks, and is not calibrated.
     """
+
+    columns: Mapping[str, tuple[int, ...]] = {"beta": ()}
+    line_bytes = LINE_BYTES
 
     def __init__(self, config: TomographicConfig | None = None) -> None:
         self.config = config or TomographicConfig()
+        self.rounds = self.config.rounds
 
-    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
-        """O(lines x segments) for the posterior, O(lines log lines) for the search of the voters."""
-        return self.locate_in_rounds(lines, frame, progress, Rounds())
+    def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> _State:
+        """Reconstruct the posterior, which the confidence needs whatever is saved, and take its modes."""
+        lines = elements.lines
+        posterior = reconstruct(lines, self.config.tomography, work)
+        beta = work.gather(modes(posterior)[0], len(elements)) if saved is None else saved["beta"]
+        return self._around(lines, posterior, beta, work)
 
-    def locate_in_rounds(self, lines: Lines, frame: Frame, progress: Progress, rounds: Rounds) -> Estimate:
-        """The same by several processes, and from the last round that was kept."""
-        return in_own_order(lines, lambda lines: self._voted(lines, progress, rounds), rounds.shards)
+    def step(self, state: _State, work: Work) -> _State:
+        """Take the peak of the voters' closest points, then the voters of the new estimates."""
+        lines, voters = state.lines, state.near.index
+        beta = peaks(lines, voters, equal_weights(lines, voters), self.config.peak, work)
+        return self._around(lines, state.posterior, work.gather(beta, len(state.beta)), work)
 
-    def _voted(self, lines: Lines, progress: Progress, rounds: Rounds) -> Estimate:
-        shards, count = rounds.shards, len(lines.direction)
-        # The confidence needs the posterior, whatever rounds are done.
-        posterior = reconstruct(lines, self.config.tomography, progress, shards)
-        done, kept = rounds.last({"beta": lines.direction[:, 0]})
-        beta = kept["beta"] if done else shards.gather(modes(posterior)[0], count)
-        near = nearest_points_to_points(lines.at(beta), self.config.nearest, shards=shards)
-        for number in range(done, self.config.rounds):
-            part = peaks(lines, near.index, _equal(lines, near.index), self.config.peak, progress, shards)
-            beta = shards.gather(part, count)
-            rounds.keep(number + 1, {"beta": beta})
-            near = nearest_points_to_points(lines.at(beta), self.config.nearest, shards=shards)
-        distance = shards.gather(near.distance, count)
+    def finish(self, state: _State, work: Work) -> Estimate:
+        """Read the confidence of the estimates off the posterior."""
+        count = len(state.beta)
+        distance = work.gather(state.near.distance, count)
         radius = 2 * float(distance.median()) if distance.numel() else 0.0
-        own = beta[shards.own(count)]
-        return Estimate(own, mass_within(posterior, own, radius), near.index, _equal(lines, near.index))
+        beta, voters = state.beta[work.own(count)], state.near.index
+        return Estimate(beta, mass_within(state.posterior, beta, radius), voters, equal_weights(state.lines, voters))
 
-    @property
-    def line_bytes(self) -> float:
-        """What is held of each line (``benchmarks/memory.py``)."""
-        return TOMOGRAPHY_BYTES
+    def _around(self, lines: Lines, posterior: Posterior, beta: Float[Tensor, " lines"], work: Work) -> _State:
+        return _State(lines, posterior, beta, nearest_points_to_points(lines.at(beta), self.config.nearest, work=work))
 
     def settings(self) -> dict[str, Any]:
         """The configuration."""

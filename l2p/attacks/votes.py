@@ -1,9 +1,4 @@
-"""Which lines are neighbours: what an attack may guess from the lines alone.
-
-A neighbourhood gives, for each line, the lines whose points it takes to be near; the closest points to them vote, and
-the peak of the votes is the estimate (:mod:`l2p.attacks.peak`). From the second round on the estimates of the round
-before help to choose better neighbours. Neighbourhoods that know the answer are in :mod:`l2p.judging.references`.
-"""
+"""Votes of neighbours: the closest points of lines, their peak, and its support."""
 
 from __future__ import annotations
 
@@ -15,11 +10,9 @@ from l2p.attacks.attack import Estimate
 from l2p.attacks.peak import PeakConfig, find_peak
 from l2p.geometry.elements import Lines
 from l2p.geometry.pairs import closest_points
-from l2p.work.memory import fitting
-from l2p.work.progress import NO_PROGRESS, Progress
-from l2p.work.shards import ALONE, Shards
+from l2p.work.work import ALONE, Work
 
-#: Most votes in one block of the peak search, and bytes of temporaries of each.
+#: Most votes in one block of the peak search, and bytes of temporaries per vote.
 VOTES, _VOTE_BYTES = 1 << 21, 60
 
 
@@ -28,19 +21,19 @@ def vote(
     neighbors: Int[Tensor, "own k"],
     affinity: Float[Tensor, "own k"] | None = None,
     peak: PeakConfig | None = None,
-    progress: Progress = NO_PROGRESS,
-    shards: Shards = ALONE,
+    work: Work = ALONE,
 ) -> Estimate:
-    """The closest points to the neighbours vote, the peak is the estimate, its support the confidence.
+    """Estimate by the peak of the closest points to the neighbours; its support is the confidence.
 
     Affinities weight the votes; without them each neighbour has one vote.
     """
-    weight = _equal(lines, neighbors) if affinity is None else affinity
-    beta = peaks(lines, neighbors, weight, peak, progress, shards)
-    return Estimate(beta, support(lines, neighbors, weight, beta, shards), neighbors, weight)
+    weight = equal_weights(lines, neighbors) if affinity is None else affinity
+    beta = peaks(lines, neighbors, weight, peak, work)
+    return Estimate(beta, support(lines, neighbors, weight, beta, work), neighbors, weight)
 
 
-def _equal(lines: Lines, neighbors: Int[Tensor, "own k"]) -> Float[Tensor, "own k"]:
+def equal_weights(lines: Lines, neighbors: Int[Tensor, "own k"]) -> Float[Tensor, "own k"]:
+    """Weight 1 for each neighbour, 0 where there is none."""
     return (neighbors >= 0).to(lines.direction.dtype)
 
 
@@ -49,16 +42,15 @@ def peaks(
     neighbors: Int[Tensor, "own k"],
     affinity: Float[Tensor, "own k"],
     peak: PeakConfig | None = None,
-    progress: Progress = NO_PROGRESS,
-    shards: Shards = ALONE,
+    work: Work = ALONE,
 ) -> Float[Tensor, " own"]:
     """The peak of the neighbours' votes on each line; the foot, 0, where there is no vote. Blocked over lines."""
-    own = lines.rows(shards.own(len(lines.direction)))
+    own = lines.rows(work.own(len(lines.direction)))
     beta = lines.direction.new_zeros(len(neighbors))
-    with progress.task("peaks of the votes", total=len(neighbors)) as advance:
-        for here in _blocks(neighbors):
+    with work.task("peaks of the votes", total=len(neighbors)) as advance:
+        for here in _blocks(neighbors, work):
             votes = closest_points(own.rows(here), lines, neighbors[here])
-            beta[here] = find_peak(votes.beta, affinity[here] * votes.valid, peak).beta.nan_to_num(nan=0.0)
+            beta[here] = find_peak(votes.beta, affinity[here] * votes.valid, peak).nan_to_num(nan=0.0)
             advance(here.stop - here.start)
     return beta
 
@@ -68,7 +60,7 @@ def support(
     neighbors: Int[Tensor, "own k"],
     affinity: Float[Tensor, "own k"],
     beta: Float[Tensor, " own"],
-    shards: Shards = ALONE,
+    work: Work = ALONE,
 ) -> Float[Tensor, " own"]:
     """Votes near the estimate over all votes that a line could have had, in [0, 1].
 
@@ -76,13 +68,13 @@ def support(
     lines (column ``confidence_auc`` of ``python -m eval``); Kuiper's statistic does not, since it tells sharp peaks,
     right or wrong, from blunt ones.
     """
-    own = lines.rows(shards.own(len(lines.direction)))
+    own = lines.rows(work.own(len(lines.direction)))
     distance = lines.direction.new_full((len(neighbors),), torch.nan)
     near = torch.zeros_like(distance)
-    for here in _blocks(neighbors):
+    for here in _blocks(neighbors, work):
         distance[here] = _apart(own, lines, neighbors, affinity, beta, here).nanmedian(dim=1).values
-    radius = shards.gather(distance, len(lines.direction)).nanmedian()
-    for here in _blocks(neighbors):
+    radius = work.gather(distance, len(lines.direction)).nanmedian()
+    for here in _blocks(neighbors, work):
         inside = _apart(own, lines, neighbors, affinity, beta, here) <= radius
         near[here] = (affinity[here] * inside).sum(dim=1)
     return (near / max(neighbors.shape[1], 1)).clamp(0, 1)
@@ -102,10 +94,10 @@ def _apart(
     return apart.masked_fill(~votes.valid | (affinity[rows] <= 0), torch.nan)
 
 
-def _blocks(neighbors: Int[Tensor, "lines k"]) -> list[slice]:
+def _blocks(neighbors: Int[Tensor, "lines k"], work: Work) -> list[slice]:
     """Slices of lines, each with at most about ``VOTES`` votes."""
     count, k = neighbors.shape
-    rows = max(1, fitting(VOTES, _VOTE_BYTES) // max(k, 1))
+    rows = max(1, work.fitting(VOTES, _VOTE_BYTES) // max(k, 1))
     return [slice(begin, min(begin + rows, count)) for begin in range(0, count if k else 0, rows)]
 
 

@@ -26,7 +26,7 @@ from l2p.maps.recovery import Recovery
 from l2p.work.progress import terminal_progress
 
 if TYPE_CHECKING:
-    from l2p.attacks.attack import Method
+    from l2p.attacks.attack import Attack
     from l2p.work.processes import Place
 
 #: More processes than any machine has cores.
@@ -50,13 +50,13 @@ def recover(arguments: Namespace) -> None:
             from l2p.attacks.run import assist
 
             set_threads(arguments.threads)
-            assist(_method(arguments), place.shards, device=place.device, memory=arguments.memory)
+            assist(_attack(arguments), place.shards, device=place.device, memory=arguments.memory)
 
 
 def _recover(arguments: Namespace, place: Place) -> None:
     """What the first process does."""
     from l2p.attacks.run import run
-    from l2p.work.journal import Rounds
+    from l2p.work.work import Work
 
     if arguments.processes not in (None, place.shards.processes):
         raise InputError(
@@ -64,18 +64,17 @@ def _recover(arguments: Namespace, place: Place) -> None:
             "elsewhere; leave it out"
         )
     _check_recover(arguments)
-    method = _method(arguments)
+    attack = _attack(arguments)
     lines, ids = _recover_inputs(arguments)
     set_threads(arguments.threads)
     state = StateFile(arguments.output, resume=arguments.resume, overwrite=arguments.force)
     recovery = run(
         lines,
-        method,
+        attack,
         device=place.device,
         memory=arguments.memory,
-        progress=terminal_progress(),
+        work=Work(place.shards, state, terminal_progress()),
         name=arguments.method,
-        rounds=Rounds(place.shards, state),
     )
     if arguments.seed is not None:
         recovery = replace(recovery, info={**recovery.info, "seed": arguments.seed})
@@ -147,11 +146,11 @@ def _model_output(arguments: Namespace) -> bool:
     return True
 
 
-def _method(arguments: Namespace) -> Method:
+def _attack(arguments: Namespace) -> Attack:
     """The attack that was asked for."""
-    from l2p.attacks.run import named_method
+    from l2p.attacks.run import named_attack
 
-    return named_method(
+    return named_attack(
         arguments.method,
         checkpoint=arguments.checkpoint,
         rounds=arguments.rounds,

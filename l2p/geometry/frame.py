@@ -14,6 +14,7 @@ what double precision leaves of a difference hardly ever lies across the border 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -76,6 +77,15 @@ class Frame:
         unit = median if median > 1e-12 * scale else (scale or 1.0)
         across = foot - step - np.sum((foot - step) * cloud.direction, axis=1, keepdims=True) * cloud.direction
         return cls(start + step, unit, _axes(across / unit))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values; in JSON they keep every bit."""
+        return {"center": self.center.tolist(), "unit": self.unit, "axes": self.axes.tolist()}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Frame:
+        """The frame of :meth:`as_dict`."""
+        return cls(np.array(values["center"]), values["unit"], np.array(values["axes"]))
 
     def enter(self, cloud: LineCloud, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> Lines:
         """The lines as tensors in this frame, with one sign and rounded; all of it is done in double precision."""

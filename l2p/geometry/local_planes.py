@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -19,18 +20,30 @@ from torch import Tensor
 
 from l2p.geometry.elements import crosswise, picked
 
-#: Fits after the first one.
-_REFITS = 4
-#: Variance across a surface that is not error of the estimates, over that error along the lines.
-_ROUGHNESS = 0.03
-#: Variance across a surface at which an estimate counts half, over the usual one.
-_DOUBT = 0.5
-#: What an estimate counts at the least, beside its confidence.
-_LEAST = 0.05
-#: A line nearer to parallel with a surface than this (cosine to the normal) is taken to cut it at this slope.
-_GRAZING = 0.05
 #: Two axes count as equally short below this difference of their variances, against the greatest.
 _ALIKE = 1e-9
+
+
+@dataclass(frozen=True)
+class SurfaceConfig:
+    """How surfaces are fitted.
+
+    Attributes
+    ----------
+    refits : int
+        Fits after the first one, each with the weights that follow from the fit before.
+    roughness : float
+        Variance of the surface itself over the variance of the estimates along their lines.
+    doubt : float
+        Cauchy scale: an estimate has weight 1/2 at this multiple of the usual variance across the surface.
+    least : float
+        Weight of an estimate beside its confidence.
+    """
+
+    refits: int = 4
+    roughness: float = 0.03
+    doubt: float = 0.5
+    least: float = 0.05
 
 
 class Surface(NamedTuple):
@@ -56,7 +69,10 @@ class Crossing(NamedTuple):
 
 
 def fitted(
-    points: Float[Tensor, "lines k 3"], direction: Float[Tensor, "lines k 3"], confidence: Float[Tensor, "lines k"]
+    points: Float[Tensor, "lines k 3"],
+    direction: Float[Tensor, "lines k 3"],
+    confidence: Float[Tensor, "lines k"],
+    config: SurfaceConfig,
 ) -> Surface:
     """The surface of k estimates each; the more confident ones count for more.
 
@@ -68,16 +84,16 @@ def fitted(
     confidence : (lines, k)
         In [0, 1].
     """
-    sure = confidence + _LEAST
+    weight = confidence + config.least
     # Counted from their middle, so that single precision is enough; one axis after the other, in the order of memory.
     middle = points.mean(dim=1, keepdim=True)
     place = (points - middle).permute(2, 0, 1).contiguous()
     way = direction.permute(2, 0, 1).contiguous()
     x, y, z = place
     products = [x, y, z, x * x, y * y, z * z, x * y, x * z, y * z]
-    plane = _weighted(products, sure)
-    for _ in range(_REFITS):
-        plane = _weighted(products, sure * _trust(place, way, plane))
+    plane = _weighted(products, weight)
+    for _ in range(config.refits):
+        plane = _weighted(products, weight * _trust(place, way, plane, config))
     value = (plane.variance / plane.variance[:, 2:].clamp_min(1e-30)).to(points.dtype)
     return Surface(
         centre=plane.centre + middle[:, 0],
@@ -154,13 +170,13 @@ def _longest(vectors: Float[Tensor, "lines some 3"]) -> tuple[Float[Tensor, "lin
 
 
 def _trust(
-    place: Float[Tensor, "3 lines k"], way: Float[Tensor, "3 lines k"], plane: _Plane
+    place: Float[Tensor, "3 lines k"], way: Float[Tensor, "3 lines k"], plane: _Plane, config: SurfaceConfig
 ) -> Float[Tensor, "lines k"]:
     """How much each estimate says of a surface, if that is about where ``plane`` is."""
     steep = _along(plane.normal, way)
     off = _along(plane.normal, place).sub_((plane.centre * plane.normal).sum(dim=1, keepdim=True))
-    usual2 = plane.variance[:, :1].to(way.dtype).clamp_min(1e-30) * _DOUBT
-    return _ROUGHNESS / (steep.square_().add_(_ROUGHNESS) * off.square_().div_(usual2).add_(1))
+    usual2 = plane.variance[:, :1].to(way.dtype).clamp_min(1e-30) * config.doubt
+    return config.roughness / (steep.square_().add_(config.roughness) * off.square_().div_(usual2).add_(1))
 
 
 def _along(normal: Float[Tensor, "lines 3"], vectors: Float[Tensor, "3 lines k"]) -> Float[Tensor, "lines k"]:
@@ -169,9 +185,14 @@ def _along(normal: Float[Tensor, "lines 3"], vectors: Float[Tensor, "3 lines k"]
     return (vectors[0] * x).addcmul_(vectors[1], y).addcmul_(vectors[2], z)
 
 
-def crossing(surface: Surface, direction: Tensor, foot: Tensor, *others: Tensor) -> Crossing:
-    """How the lines of ``direction`` meet surfaces; ``foot`` and ``others`` are places."""
+def crossing(
+    surface: Surface, direction: Tensor, foot: Tensor, closest: Tensor, own: Tensor, grazing: float
+) -> Crossing:
+    """Cut lines with surfaces; ``foot``, ``closest`` and ``own`` are points on the lines.
+
+    ``grazing`` is the least absolute cosine to the normal; lines at a shallower angle are clamped to it.
+    """
     slope = (surface.normal * direction).sum(-1)
-    slope = torch.where(slope.abs() < _GRAZING, torch.where(slope < 0, -_GRAZING, _GRAZING), slope)
-    off = [((place - surface.centre) * surface.normal).sum(-1) for place in (foot, *others)]
+    slope = torch.where(slope.abs() < grazing, torch.where(slope < 0, -grazing, grazing), slope)
+    off = [((place - surface.centre) * surface.normal).sum(-1) for place in (foot, closest, own)]
     return Crossing(slope, -off[0] / slope, off)

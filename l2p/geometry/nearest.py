@@ -5,7 +5,7 @@ passes over a tile that fits the cache, followed by a selection of the k smalles
 a tile holds ``TILE`` numbers, the answer lines x k. Among ``MANY`` points, those nearest to lines are found by a tree
 (:mod:`l2p.geometry.tree_search`).
 
-Lines may be shared out over processes (:mod:`l2p.work.shards`): ``shards`` says which lines or points are queries,
+Lines may be shared out over processes (:mod:`l2p.work.shards`): ``work`` says which lines or points are queries,
 among all others.
 
 Self (query i against other i) is never a neighbour. Parallel pairs of lines have no distance. Rows are sorted by
@@ -27,9 +27,8 @@ from l2p.geometry.pairs import PARALLEL, line_line_distance, point_line_distance
 from l2p.geometry.points import nearest_neighbors
 from l2p.geometry.tree import plant
 from l2p.geometry.tree_search import nearest_points
-from l2p.work.progress import NO_PROGRESS, Progress
-from l2p.work.shards import ALONE, Shards
-from l2p.work.threads import even_size, over_blocks
+from l2p.work.threads import even_size
+from l2p.work.work import ALONE, Work
 
 #: Numbers in one tile of distances: 8 MB in single precision, so that a tile and its temporaries stay near the cache.
 TILE = 1 << 21
@@ -49,9 +48,7 @@ class Nearest(NamedTuple):
 Kernel = Callable[[slice, slice], Float[Tensor, "rows columns"]]
 
 
-def nearest_lines_to_lines(
-    lines: Lines, k: int, *, tile: int = TILE, progress: Progress = NO_PROGRESS, shards: Shards = ALONE
-) -> Nearest:
+def nearest_lines_to_lines(lines: Lines, k: int, *, tile: int = TILE, work: Work = ALONE) -> Nearest:
     """N_ll: the k lines with the smallest line-line distance to each line.
 
     Notes
@@ -68,10 +65,10 @@ def nearest_lines_to_lines(
         parallel = sine2 <= PARALLEL**2
         return reciprocal.square_().div_(sine2).masked_fill_(parallel, torch.inf)
 
-    own = shards.own(len(lines.direction))
-    index = _search(squared, own, len(lines.direction), k, lines.direction, tile, progress, "nearest lines to lines")
+    own = work.own(len(lines.direction))
+    index = _search(squared, own, len(lines.direction), k, lines.direction, tile, work, "nearest lines to lines")
     queries = lines.rows(own)
-    return _sorted(index, lambda rows, found: line_line_distance(queries.rows(rows), lines, found), tile)
+    return _sorted(index, lambda rows, found: line_line_distance(queries.rows(rows), lines, found), tile, work)
 
 
 def nearest_points_to_lines(
@@ -81,8 +78,7 @@ def nearest_points_to_lines(
     *,
     scale: Float[Tensor, " lines"] | None = None,
     tile: int = TILE,
-    progress: Progress = NO_PROGRESS,
-    shards: Shards = ALONE,
+    work: Work = ALONE,
 ) -> Nearest:
     """N_pl: the k points nearest to each line; ``points[i]`` belongs to line i and is left out of its row.
 
@@ -96,10 +92,10 @@ def nearest_points_to_lines(
     """
     title = "nearest points to lines"
     unit = torch.ones_like(points[:, 0]) if scale is None else scale
-    own = shards.own(len(points))
+    own = work.own(len(points))
     queries = lines.rows(own)
     if len(points) >= max(MANY, 16 * k) and k > 0:
-        index = nearest_points(plant(points, unit), queries, k, progress, title, own.start)
+        index = nearest_points(plant(points, unit), queries, k, work, title, own.start)
     else:
         left, right = _residual_factors(lines, points)
         right = right / unit[:, None]
@@ -107,7 +103,7 @@ def nearest_points_to_lines(
         def squared(rows: slice, columns: slice) -> Float[Tensor, "rows columns"]:
             return _sum_of_squares(left[:, rows], right[:, columns])
 
-        index = _search(squared, own, len(points), k, points, tile, progress, title)
+        index = _search(squared, own, len(points), k, points, tile, work, title)
 
     def distance(rows: slice, found: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k"]:
         shape = (*found.shape, 3)
@@ -115,7 +111,7 @@ def nearest_points_to_lines(
         near = found.clamp_min(0)
         return point_line_distance(picked(points, near), direction, moment) / picked(unit, near)
 
-    return _sorted(index, distance, tile)
+    return _sorted(index, distance, tile, work)
 
 
 def nearest_lines_to_points(
@@ -124,8 +120,7 @@ def nearest_lines_to_points(
     k: int,
     *,
     tile: int = TILE,
-    progress: Progress = NO_PROGRESS,
-    shards: Shards = ALONE,
+    work: Work = ALONE,
 ) -> Nearest:
     """N_lp: the k lines nearest to each point; line i belongs to ``points[i]`` and is left out of its row."""
     left, right = _residual_factors(lines, points)
@@ -133,8 +128,8 @@ def nearest_lines_to_points(
     def squared(rows: slice, columns: slice) -> Float[Tensor, "rows columns"]:
         return _sum_of_squares(right[:, rows], left[:, columns])
 
-    own = shards.own(len(points))
-    index = _search(squared, own, len(points), k, points, tile, progress, "nearest lines to points")
+    own = work.own(len(points))
+    index = _search(squared, own, len(points), k, points, tile, work, "nearest lines to points")
     queries = points[own]
 
     def distance(rows: slice, found: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k"]:
@@ -143,17 +138,17 @@ def nearest_lines_to_points(
         here = queries[rows][:, None].expand(shape)
         return point_line_distance(here, others.direction.view(shape), others.moment.view(shape))
 
-    return _sorted(index, distance, tile)
+    return _sorted(index, distance, tile, work)
 
 
-def nearest_points_to_points(points: Float[Tensor, "lines 3"], k: int, *, shards: Shards = ALONE) -> Nearest:
+def nearest_points_to_points(points: Float[Tensor, "lines 3"], k: int, *, work: Work = ALONE) -> Nearest:
     """The k points nearest to each point.
 
     Notes
     -----
     O(lines log lines) time by a k-d tree on the CPU.
     """
-    own = shards.own(len(points))
+    own = work.own(len(points))
     near = nearest_neighbors(points.cpu().double().numpy(), k, workers=torch.get_num_threads(), rows=own)
     return Nearest(
         torch.from_numpy(near.index).to(points.device, torch.int32),
@@ -187,7 +182,7 @@ def _sum_of_squares(
 
 
 def _search(
-    squared: Kernel, own: slice, count: int, k: int, like: Tensor, tile: int, progress: Progress, title: str
+    squared: Kernel, own: slice, count: int, k: int, like: Tensor, tile: int, work: Work, title: str
 ) -> Int[Tensor, "queries k"]:
     """Indices of the k smallest entries of some rows of a virtual (count, count) matrix without its diagonal."""
     k = max(0, min(k, count - 1))
@@ -197,7 +192,7 @@ def _search(
         return index
     columns = max(min(count, _COLUMNS), k)
     rows = max(1, min(tile // columns, count))
-    with progress.task(title, total=len(index)) as advance:
+    with work.task(title, total=len(index)) as advance:
         for begin in range(own.start, own.stop, rows):
             here = slice(begin, min(begin + rows, own.stop))
             index[begin - own.start : here.stop - own.start] = _search_rows(squared, here, count, k, columns)
@@ -251,12 +246,13 @@ def _sorted(
     index: Int[Tensor, "queries k"],
     distance: Callable[[slice, Int[Tensor, "rows k"]], Float[Tensor, "rows k"]],
     tile: int,
+    work: Work,
 ) -> Nearest:
     """Distances of the chosen pairs, computed anew pair by pair, and the rows sorted by them."""
     count, k = index.shape
     parts = [torch.empty(0, k, device=index.device)]
 
-    def measured(here: slice) -> Float[Tensor, "rows k"]:
+    def measured(here: slice, _: Work) -> Float[Tensor, "rows k"]:
         # Equal distances in the order of their indices, whatever the search met first.
         found = index[here].sort(dim=1).values
         part = distance(here, found.long()).masked_fill(found < 0, torch.inf)
@@ -266,5 +262,5 @@ def _sorted(
 
     # A tile is at most 64 numbers a pair.
     size = even_size(count, max(1, tile // max(1, 64 * k)))
-    parts += [part for _, part in over_blocks(measured, count, size, index.device)]
+    parts += [part for _, part in work.over_blocks(measured, count, size, index.device)]
     return Nearest(index, torch.cat(parts[1:] or parts))

@@ -26,9 +26,8 @@ from torch import Tensor
 
 from l2p.geometry.elements import Lines, crosswise, picked
 from l2p.geometry.tree import Pairs, PointTree, reach
-from l2p.work.memory import fitting
-from l2p.work.progress import Progress
-from l2p.work.threads import even_size, over_blocks
+from l2p.work.threads import even_size
+from l2p.work.work import Work
 
 #: Most lines of a block, and most pairs of its lines with leaves, and with points; where there are more, blocks become
 #: smaller.
@@ -76,7 +75,7 @@ class _Found(NamedTuple):
 
 
 def nearest_points(
-    tree: PointTree, lines: Lines, k: int, progress: Progress, title: str, first: int = 0
+    tree: PointTree, lines: Lines, k: int, work: Work, title: str, first: int = 0
 ) -> Int[Tensor, "lines k"]:
     """The k points nearest to each line in no order, point ``first + i`` being left out for line i.
 
@@ -85,13 +84,13 @@ def nearest_points(
     count = len(lines.direction)
     index = torch.empty(count, k, dtype=torch.int32, device=lines.direction.device)
     rows = torch.arange(count, device=index.device)
-    with progress.task(title, total=count) as advance:
+    with work.task(title, total=count) as advance:
         # One more than k, for the line's own point.
-        radius = _guess(tree, lines, k + 1)
+        radius = _guess(tree, lines, k + 1, work)
         for growth in (1.0, *_GROWTH):
             missed = [rows[:0]]
             search = partial(_search, tree, lines, rows, growth * radius, k + 1, tighten=growth == 1)
-            for block, found in over_blocks(search, len(rows), even_size(len(rows), _BLOCK), index.device):
+            for block, found in work.over_blocks(search, len(rows), even_size(len(rows), _BLOCK), index.device):
                 part = rows[block]
                 index[part] = _without_own(found.index, part + first)
                 radius[part] = found.radius
@@ -111,20 +110,21 @@ def _search(
     radius: Float[Tensor, " lines"],
     k: int,
     block: slice,
+    work: Work,
     *,
     tighten: bool,
 ) -> _Found:
     """The points nearest to a block of rows, which are some of the lines."""
     part = rows[block]
     some = lines.rows(part)
-    found = _in_pieces(tree, some, radius[part], k, tighten=tighten)
+    found = _in_pieces(tree, some, radius[part], k, work, tighten=tighten)
     if found is not None:
         return found
     if len(part) == 1 or len(part) * tree.index.numel() <= _ALL:
         return _among_all(tree, some, k)
     middle = (block.start + block.stop) // 2
     halves = slice(block.start, middle), slice(middle, block.stop)
-    return _joined([_search(tree, lines, rows, radius, k, half, tighten=tighten) for half in halves])
+    return _joined([_search(tree, lines, rows, radius, k, half, work, tighten=tighten) for half in halves])
 
 
 def _joined(parts: list[_Found]) -> _Found:
@@ -164,12 +164,12 @@ def _rank(k: int, share: float) -> int:
     return math.ceil(k * share + _DEVIATIONS * math.sqrt(k * share))
 
 
-def _guess(tree: PointTree, lines: Lines, k: int) -> Float[Tensor, " lines"]:
+def _guess(tree: PointTree, lines: Lines, k: int, work: Work) -> Float[Tensor, " lines"]:
     """A distance that most likely holds k points, by the sample of all."""
     size = tree.sample.shape[1]
     rank = min(_rank(k, size / tree.index.numel()), size)
 
-    def guessed(block: slice) -> Float[Tensor, " rows"]:
+    def guessed(block: slice, _: Work) -> Float[Tensor, " rows"]:
         square = _squares(_projection(lines.rows(block)), tree.sample)
         # Minima of a few each: most of the nearest are in different ones, and there is less to choose from.
         while square.shape[1] >= 16 * rank:
@@ -177,7 +177,7 @@ def _guess(tree: PointTree, lines: Lines, k: int) -> Float[Tensor, " lines"]:
             square = torch.minimum(square[:, :half], square[:, half : 2 * half])
         return torch.topk(square, rank, dim=1, largest=False, sorted=False).values.amax(dim=1)
 
-    tiles = over_blocks(guessed, len(lines.direction), max(1, _TILE // size), lines.direction.device)
+    tiles = work.over_blocks(guessed, len(lines.direction), max(1, _TILE // size), lines.direction.device)
     radius = torch.cat([lines.direction[:0, 0], *(part for _, part in tiles)]).sqrt()
     # Where points coincide on a line, the distance is rounding alone, or 0. The same for all lines, whoever searches.
     rounding = 1e-6 * tree.sample[:3].norm(dim=0).median()
@@ -185,14 +185,14 @@ def _guess(tree: PointTree, lines: Lines, k: int) -> Float[Tensor, " lines"]:
 
 
 def _in_pieces(
-    tree: PointTree, lines: Lines, radius: Float[Tensor, " lines"], k: int, *, tighten: bool
+    tree: PointTree, lines: Lines, radius: Float[Tensor, " lines"], k: int, work: Work, *, tighten: bool
 ) -> _Found | None:
     """What ``_within`` finds for a block, by as many of its lines at a time as there is room for.
 
     None where the whole block has too many pairs: whether all points are measured must not depend on the room.
     """
-    most = fitting(_PAIRS, _PAIR_BYTES)
-    left = list(torch.arange(len(radius), device=radius.device).split(fitting(_BLOCK, _LINE_BYTES)))[::-1]
+    most = work.fitting(_PAIRS, _PAIR_BYTES)
+    left = list(torch.arange(len(radius), device=radius.device).split(work.fitting(_BLOCK, _LINE_BYTES)))[::-1]
     parts: list[_Found] = []
     while left:
         rows = left.pop()

@@ -13,7 +13,7 @@ import numpy as np
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.npz import Fields, npz_bytes, npz_keys, read_npz
-from l2p.work.journal import Journal, Kept
+from l2p.work.journal import Journal, Saved
 
 #: Version of the file; it lives as long as a run, so no other is read.
 STATE_VERSION = 1
@@ -44,7 +44,7 @@ class StateFile(Journal):
     def __init__(self, output: str | PathLike[str], *, resume: bool, overwrite: bool) -> None:
         self.path = state_path(output)
         self._about: dict[str, Any] = {}
-        self._last: Kept | None = None
+        self._last: Saved | None = None
         self._resume = resume
         if self.path.exists() and not (resume or overwrite):
             raise InputError(
@@ -64,20 +64,20 @@ class StateFile(Journal):
                 f"{self.path} is of a run with other {', '.join(other)}; give those of that run, or --force without "
                 "--resume to begin again"
             )
-        self._last = _kept(self.path, fields)
+        self._last = _saved(self.path, fields)
 
-    def last(self) -> Kept | None:
+    def last(self) -> Saved | None:
         """What the run goes on from."""
         return self._last
 
-    def keep(self, kept: Kept) -> None:
+    def save(self, saved: Saved) -> None:
         """Replace the file."""
-        parts = {_PART + name: part for name, part in kept.parts.items()}
+        parts = {_PART + name: part for name, part in saved.state.items()}
         about = np.array(json.dumps(self._about, sort_keys=True))
         with atomic_file(self.path, overwrite=True) as file:
             file.write(
                 npz_bytes(
-                    {**parts, "rounds": np.array(kept.rounds), "about": about, "version": np.array(STATE_VERSION)}
+                    {**parts, "rounds": np.array(saved.rounds), "about": about, "version": np.array(STATE_VERSION)}
                 )
             )
 
@@ -95,19 +95,19 @@ def _about(path: Path, fields: Fields) -> dict[str, Any]:
     return about if isinstance(about, dict) else {}
 
 
-def _differences(kept: dict[str, Any], about: dict[str, Any]) -> list[str]:
+def _differences(saved: dict[str, Any], about: dict[str, Any]) -> list[str]:
     """What the runs differ in; of settings, which."""
-    other = [name for name in {**kept, **about} if name != "settings" and kept.get(name) != about.get(name)]
+    other = [name for name in {**saved, **about} if name != "settings" and saved.get(name) != about.get(name)]
     if other:
         return other
-    one, two = ({} if not isinstance(run.get("settings"), dict) else run["settings"] for run in (kept, about))
+    one, two = ({} if not isinstance(run.get("settings"), dict) else run["settings"] for run in (saved, about))
     return [name for name in {**one, **two} if one.get(name) != two.get(name)]
 
 
-def _kept(path: Path, fields: Fields) -> Kept:
+def _saved(path: Path, fields: Fields) -> Saved:
     rounds = int(fields.take("rounds", "iu", ()))
     arrays = read_npz(path, [name for name in npz_keys(path) if name.startswith(_PART)])
     parts = {name.removeprefix(_PART): part for name, part in arrays.items()}
     if rounds < 1 or not all(part.dtype.kind == "f" and np.isfinite(part).all() for part in parts.values()):
         raise InputError(f"{path} is damaged; remove it to begin the run again")
-    return Kept(rounds, parts)
+    return Saved(rounds, parts)

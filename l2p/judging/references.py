@@ -6,6 +6,7 @@ hold them side by side. None of them is an attack: each is built from the true p
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,22 +14,23 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.attacks.attack import Estimate, Method
+from l2p.attacks.attack import Attack, Elements, Estimate
 from l2p.attacks.votes import member, vote
 from l2p.checks import finite_rows
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
-from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import nearest_points_to_lines
 from l2p.geometry.pairs import feet
 from l2p.geometry.points import nearest_neighbors
-from l2p.work.progress import NO_PROGRESS, Progress
+from l2p.work.work import Work
 
+#: The neighbour whose median distance is a spacing.
+SPACING_NEIGHBOR = 50
 #: Kernel widths that the leave-one-out bound tries, as shares of the median distance to the 50th point.
 BANDWIDTHS = (0.125, 0.25, 0.5, 1.0)
 
 
-class Oracle:
+class Oracle(Attack):
     """The k true nearest neighbours of each point, a share of them replaced by random lines (paper, figure 4).
 
     Parameters
@@ -48,7 +50,7 @@ class Oracle:
     """
 
     def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 50, outliers: float = 0.0, seed: int = 0) -> None:
-        _check_count("k", k)
+        _check_number("k", k)
         if not 0 <= outliers <= 1:
             raise InputError(f"got outliers = {outliers}; expected a share in [0, 1]")
         self.points, self.k, self.outliers, self.seed = finite_rows("points", points), k, outliers, seed
@@ -67,25 +69,25 @@ class Oracle:
             np.put_along_axis(neighbors, place, drawn, axis=1)
         return neighbors
 
-    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
+    def finish(self, state: Elements, work: Work) -> Estimate:
         """Vote once with the true neighbours."""
-        _same_count(lines, self.points)
-        neighbors = torch.as_tensor(self.neighbors(), device=lines.direction.device)
-        return vote(lines, neighbors, progress=progress)
+        _check_count(state, self.points)
+        neighbors = _in_order(self.neighbors(), state)[work.own(len(state))]
+        return vote(state.lines, neighbors, work=work)
 
     def settings(self) -> dict[str, Any]:
         """k, share of outliers and seed."""
         return {"k": self.k, "outliers": self.outliers, "seed": self.seed}
 
 
-class CandidateOracle:
+class CandidateOracle(Attack):
     """Of the candidates that an attack looks at, the true neighbours: what its choice of candidates loses.
 
     Parameters
     ----------
     points : (lines, 3)
         The true points in the order of the lines.
-    attack : Method
+    attack : Attack
         The attack whose final estimates give the candidates.
     k : int
         A candidate counts as true if it is among the k nearest points.
@@ -94,20 +96,35 @@ class CandidateOracle:
     """
 
     def __init__(
-        self, points: Float[np.ndarray, "lines 3"], attack: Method, k: int = 50, candidates: int = 200
+        self, points: Float[np.ndarray, "lines 3"], attack: Attack, k: int = 50, candidates: int = 200
     ) -> None:
-        _check_count("k", k)
-        _check_count("candidates", candidates)
+        _check_number("k", k)
+        _check_number("candidates", candidates)
         self.points, self.attack = finite_rows("points", points), attack
         self.k, self.candidates = k, candidates
+        self.rounds, self.columns, self.line_bytes = attack.rounds, attack.columns, attack.line_bytes
 
-    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
-        """Run the attack, then vote with the true neighbours among its candidates; none left, the attack's word."""
-        _same_count(lines, self.points)
-        before = self.attack.locate(lines, frame, progress)
-        near = nearest_points_to_lines(lines, lines.at(before.beta), self.candidates, progress=progress).index
-        true = torch.as_tensor(nearest_neighbors(self.points, self.k).index, device=near.device, dtype=near.dtype)
-        estimate = vote(lines, near.masked_fill(~member(near, true), -1), progress=progress)
+    def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> tuple[Elements, Any]:
+        """Begin the attack."""
+        _check_count(elements, self.points)
+        return elements, self.attack.begin(elements, saved, work)
+
+    def step(self, state: tuple[Elements, Any], work: Work) -> tuple[Elements, Any]:
+        """Do a round of the attack."""
+        return state[0], self.attack.step(state[1], work)
+
+    def saved(self, state: tuple[Elements, Any]) -> Mapping[str, Tensor]:
+        """The tensors of the attack."""
+        return self.attack.saved(state[1])
+
+    def finish(self, state: tuple[Elements, Any], work: Work) -> Estimate:
+        """Vote with the true neighbours among the attack's candidates; lines without any keep the attack's estimate."""
+        elements, lines = state[0], state[0].lines
+        before = self.attack.finish(state[1], work)
+        beta = work.gather(before.beta, len(elements))
+        near = nearest_points_to_lines(lines, lines.at(beta), self.candidates, work=work).index
+        true = _in_order(nearest_neighbors(self.points, self.k).index, elements)[work.own(len(elements))]
+        estimate = vote(lines, near.masked_fill(~member(near, true.to(near.dtype)), -1), work=work)
         none = (estimate.neighbors >= 0).sum(dim=1) == 0
         return estimate._replace(beta=torch.where(none, before.beta, estimate.beta))
 
@@ -116,7 +133,7 @@ class CandidateOracle:
         return {"k": self.k, "candidates": self.candidates, "attack": self.attack.settings()}
 
 
-class LeaveOneOut:
+class LeaveOneOut(Attack):
     """Every other point is known, and a line's own is put where their density along the line is greatest.
 
     A Gaussian kernel of one width for the whole scene; of ``BANDWIDTHS`` the one with the least median error is kept,
@@ -132,23 +149,26 @@ class LeaveOneOut:
     """
 
     def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 128) -> None:
-        _check_count("k", k)
+        _check_number("k", k)
         self.points, self.k = finite_rows("points", points), k
 
-    def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
+    def finish(self, state: Elements, work: Work) -> Estimate:
         """The mode of the density along each line, for the best of the kernel widths."""
-        _same_count(lines, self.points)
-        truth = frame.enter_points(self.points, lines.direction.device, lines.direction.dtype)
-        near = nearest_points_to_lines(lines, truth, self.k, progress=progress)
+        _check_count(state, self.points)
+        lines, frame = state.lines, state.frame
+        points = self.points[state.row.cpu().numpy()]
+        truth = frame.enter_points(points, lines.direction.device, lines.direction.dtype)
+        near = nearest_points_to_lines(lines, truth, self.k, work=work)
         true_beta = ((truth - lines.foot) * lines.direction).sum(dim=1)
-        unit = nearest_neighbors(self.points, 50).distance[:, -1:]
+        unit = nearest_neighbors(points, SPACING_NEIGHBOR).distance[:, -1:]
         # The frame's unit, where one line or points in one place leave no scale of their own.
         scale = (float(np.median(unit)) / frame.unit if unit.size else 0.0) or 1.0
         best, least = None, torch.inf
-        with progress.task("leave-one-out density", total=len(truth) * len(BANDWIDTHS)) as advance:
+        with work.task("leave-one-out density", len(near.index) * len(BANDWIDTHS)) as advance:
             for width in BANDWIDTHS:
-                estimate = self._modes(lines, truth, near, width * scale, advance)
-                error = float((estimate.beta - true_beta).abs().median())
+                estimate = self._modes(lines.rows(work.own(len(state))), truth, near, width * scale, advance)
+                beta = work.gather(estimate.beta, len(state))
+                error = float((beta - true_beta).abs().median())
                 if error < least or best is None:
                     best, least = estimate, error
         assert best is not None
@@ -189,13 +209,19 @@ def _mode(
     return beta[:, 0], (highest / weight.sum(dim=1).clamp_min(1e-30)).clamp(0, 1)
 
 
-def _check_count(name: str, count: int) -> None:
+def _in_order(neighbors: Int[np.ndarray, "lines k"], elements: Elements) -> Int[Tensor, "lines k"]:
+    """Neighbours by rows of the map, for lines in the order of their own."""
+    index = torch.as_tensor(neighbors, device=elements.row.device)
+    return elements.row.argsort()[index[elements.row]]
+
+
+def _check_number(name: str, count: int) -> None:
     if count < 1:
         raise InputError(f"got {name} = {count}; expected at least 1 neighbour")
 
 
-def _same_count(lines: Lines, points: Float[np.ndarray, "points 3"]) -> None:
-    if len(points) != len(lines.direction):
+def _check_count(elements: Elements, points: Float[np.ndarray, "points 3"]) -> None:
+    if len(points) != len(elements):
         raise InputError(
-            f"got {len(points)} true points for {len(lines.direction)} lines; expected them in the order of the lines"
+            f"got {len(points)} true points for {len(elements)} lines; expected them in the order of the lines"
         )

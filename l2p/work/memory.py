@@ -1,9 +1,8 @@
 """How much memory an attack may take, and how large its blocks can be in it.
 
-An attack holds some bytes for each line, which nothing can change, and works through blocks of lines, each with
-temporaries of its own. What is left of the allowance after the lines is the *room* of these blocks. It is known to all
-code inside :func:`room`, as torch's modes are, so that no function between the door and a block has to hand it on:
-it decides how much is done at a time, never what comes out.
+An attack holds some bytes per line, which nothing can change, and works through blocks of lines, each with temporaries
+of its own. The allowance less the bytes of the lines is the *room* of these blocks (:class:`l2p.work.work.Work`). It
+decides how much is done at a time, never the result.
 """
 
 from __future__ import annotations
@@ -11,9 +10,6 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
 
 from l2p.errors import InputError
@@ -32,29 +28,10 @@ _LIMITS = {
     "memory": (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes", "memory.usage_in_bytes"),
 }
 
-_room: ContextVar[int | None] = ContextVar("room", default=None)
 
-
-@contextmanager
-def room(size: int | None) -> Iterator[None]:
-    """Blocks that are begun inside keep their temporaries within so many bytes; None: as large as is fast."""
-    before = _room.set(size)
-    try:
-        yield
-    finally:
-        _room.reset(before)
-
-
-def shared(ways: int) -> int | None:
-    """The room of each of so many blocks at a time."""
-    size = _room.get()
-    return None if size is None else size // ways
-
-
-def fitting(most: int, each: float) -> int:
-    """How many items of ``each`` bytes a block takes: ``most``, which is fastest, or as many as there is room for."""
-    size = _room.get()
-    return most if size is None else max(1, min(most, int(size / max(each, 1))))
+def fitting(most: int, each: float, room: int | None) -> int:
+    """Items of ``each`` bytes per block: ``most``, which is fastest, or as many as the room holds."""
+    return most if room is None else max(1, min(most, int(room / max(each, 1))))
 
 
 def allotted(memory: float | None, lines: int, line_bytes: float) -> int | None:

@@ -19,7 +19,7 @@ from types import FrameType
 from typing import Any, NamedTuple, NoReturn
 
 from l2p.errors import InputError, LostProcessError
-from l2p.work.shards import ALONE, Processes, Shards
+from l2p.work.shards import Processes, Shards
 
 #: How long a process waits for the others: far longer than they are apart in their work.
 PATIENCE = timedelta(minutes=30)
@@ -59,7 +59,7 @@ def joined(device: str) -> Iterator[Place]:
         In place of an error of the block, if another process has told why all end.
     """
     if not among_others():
-        yield Place(ALONE, device)
+        yield Place(Shards(), device)
         return
     import torch
     from torch import distributed

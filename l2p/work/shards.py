@@ -10,6 +10,7 @@ The processes are those of ``torch.distributed``; :mod:`l2p.work.processes` brin
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -62,12 +63,15 @@ class Shards:
         """What is true for any process, in place."""
 
     def first(self, whole: Shaped[Tensor, "..."]) -> Shaped[Tensor, "..."]:
-        """What the first process has; the others give a tensor of the same shape to fill."""
+        """Return the tensor of the first process; the others pass one of the same shape to fill."""
         return whole
 
-
-#: The default of every function that takes ``shards``.
-ALONE = Shards()
+    def first_json(self, value: Any, device: torch.device) -> Any:
+        """Return the plain value of the first process; the others pass None."""
+        content = json.dumps(value).encode() if self.rank == 0 else b""
+        size = int(self.first(torch.tensor(len(content), device=device)))
+        sent = torch.frombuffer(bytearray(content or bytes(size)), dtype=torch.uint8).to(device)
+        return json.loads(bytes(self.first(sent).cpu().numpy()))
 
 
 class Processes(Shards):

@@ -15,14 +15,14 @@ from typing import TypeVar
 
 import torch
 
-from l2p.work.memory import fitting, room, shared
+from l2p.work.memory import fitting
 
 #: Blocks that wait for each thread, done or to be done, so that no thread waits for one.
 _AHEAD = 2
 #: Threads that can be asked for: OpenMP crashes the process where the system does not give it as many.
 MOST_THREADS = 1024
 
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 
 def even_size(count: int, most: int) -> int:
@@ -32,36 +32,42 @@ def even_size(count: int, most: int) -> int:
 
 
 def over_blocks(
-    work: Callable[[slice], Found], count: int, size: int, device: torch.device | None = None, row_bytes: float = 0
-) -> Iterator[tuple[slice, Found]]:
-    """What ``work`` makes of each block of ``size`` of ``count`` rows, in order.
+    function: Callable[[slice, int | None], Result],
+    count: int,
+    size: int,
+    device: torch.device | None = None,
+    row_bytes: float = 0,
+    room: int | None = None,
+) -> Iterator[tuple[slice, Result]]:
+    """Apply ``function(block, room)`` to each block of ``size`` of ``count`` rows; results in order.
 
-    As many blocks at a time as torch has threads, or as there is room for (:mod:`l2p.work.memory`) at ``row_bytes`` of
-    temporaries a row; one after the other on a device that is not the CPU. Torch has one thread meanwhile, and each
-    block its share of the room. The answer does not depend on the number of threads.
+    As many blocks run at a time as torch has threads, or as there is room for at ``row_bytes`` of temporaries per row;
+    one after the other on a device that is not the CPU. Torch has one thread meanwhile, and each block its share of
+    the room. The results do not depend on the number of threads.
 
     Raises
     ------
     Exception
-        What ``work`` raises; no block is begun after it.
+        As ``function`` raises; no block is begun after it.
     """
-    size = fitting(size, row_bytes)
+    size = fitting(size, row_bytes, room)
     blocks = [slice(begin, min(begin + size, count)) for begin in range(0, count, size)]
     threads = torch.get_num_threads()
     if threads == 1 or len(blocks) < 2 or (device is not None and device.type != "cpu"):
-        yield from ((block, work(block)) for block in blocks)
+        yield from ((block, function(block, room)) for block in blocks)
         return
-    workers = fitting(threads, size * row_bytes)
-    # These belong to a thread: the workers take them over.
-    inference, gradients, share = torch.is_inference_mode_enabled(), torch.is_grad_enabled(), shared(workers)
+    workers = fitting(threads, size * row_bytes, room)
+    share = None if room is None else room // workers
+    # These modes belong to a thread: the workers take them over.
+    inference, gradients = torch.is_inference_mode_enabled(), torch.is_grad_enabled()
 
-    def worked(block: slice) -> Found:
-        with torch.inference_mode(inference), torch.set_grad_enabled(gradients), room(share):
-            return work(block)
+    def worked(block: slice) -> Result:
+        with torch.inference_mode(inference), torch.set_grad_enabled(gradients):
+            return function(block, share)
 
     pool = ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,))
     torch.set_num_threads(1)
-    begun: deque[tuple[slice, Future[Found]]] = deque()
+    begun: deque[tuple[slice, Future[Result]]] = deque()
     try:
         for block in blocks:
             begun.append((block, pool.submit(worked, block)))
@@ -74,6 +80,6 @@ def over_blocks(
         torch.set_num_threads(threads)
 
 
-def _ended(begun: deque[tuple[slice, Future[Found]]]) -> tuple[slice, Found]:
+def _ended(begun: deque[tuple[slice, Future[Result]]]) -> tuple[slice, Result]:
     block, future = begun.popleft()
     return block, future.result()

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 import torch
+from l2p.attacks.learned.features import VOTES
 from safetensors.torch import load_file, save_file
 
 from l2p.attacks.learned import checkpoint
 from l2p.attacks.learned.checkpoint import Checkpoint
-from l2p.attacks.learned.features import VOTES
 from l2p.attacks.learned.learned import LearnedConfig
 from l2p.attacks.learned.network import RADII, LineTransformer, NetworkConfig
 from l2p.errors import InputError

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import torch
+from l2p.attacks.learned.features import EDGE, SCALE, STATE, VOTES, WIDE, Edges, Nodes, Told, edges, surroundings
 from torch import Tensor
 
 import l2p
-from l2p.attacks.learned.features import EDGE, SCALE, STATE, VOTES, WIDE, Edges, Nodes, Told, edges, surroundings
 from l2p.attacks.tomography.posterior import Posterior
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 import torch
+from l2p.attacks.learned.features import Told, surroundings
 from tiny import learned as attack
 
 import l2p
 from l2p.attacks.attack import own_order
-from l2p.attacks.learned.features import Told, surroundings
 from l2p.attacks.learned.learned import (
     LearnedConfig,
     Round,

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-
 from l2p.attacks.learned.features import EDGE, FAMILIES, STATE, VOTES, Edges
+
 from l2p.attacks.learned.network import RADII, Judgement, LineTransformer, NetworkConfig
 
 LINES, K = 7, 12

@@ -11,6 +11,7 @@ import torch
 pytest.importorskip("hydra", reason="the training program needs the extra train: pip install 'l2p[train]'")
 
 from l2p.attacks.learned.features import EDGE, STATE, VOTES, Edges
+
 from l2p.attacks.learned.learned import LearnedConfig, find_candidates
 from l2p.attacks.learned.network import RADII, Judgement, LineTransformer, NetworkConfig
 from l2p.attacks.peak import PeakConfig

@@ -15,8 +15,9 @@ import torch
 
 pytest.importorskip("hydra", reason="the training program needs the extra train: pip install 'l2p[train]'")
 
-import l2p
 from l2p.attacks.learned.features import Edges, surroundings
+
+import l2p
 from l2p.attacks.learned.learned import LearnedConfig, find_candidates, judge_round, relaxed, weighted_peak
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.errors import InputError

@@ -15,7 +15,7 @@ import pytest
 import l2p
 from l2p.cli.main import main
 from l2p.io.state_files import StateFile, state_path
-from l2p.work.journal import Kept
+from l2p.work.journal import Saved
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -40,15 +40,15 @@ def run(*words: object) -> int:
 
 def end_after(rounds: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C once the state after so many rounds is kept."""
-    keep = StateFile.keep
+    keep = StateFile.save
 
-    def kept(self: StateFile, state: Kept) -> None:
+    def kept(self: StateFile, state: Saved) -> None:
         keep(self, state)
         if state.rounds == rounds:
-            monkeypatch.setattr(StateFile, "keep", keep)
+            monkeypatch.setattr(StateFile, "save", keep)
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(StateFile, "keep", kept)
+    monkeypatch.setattr(StateFile, "save", kept)
 
 
 # Going on
@@ -76,7 +76,7 @@ def test_a_resumed_run_ends_with_the_same_bytes(
     assert said == f"l2p: interrupted; start again with --resume to go on from the finished rounds in {state}\n"
     assert state.exists() and not ended.exists()
     calls = []
-    monkeypatch.setattr(StateFile, "keep", lambda self, kept: calls.append(kept.rounds))
+    monkeypatch.setattr(StateFile, "save", lambda self, saved: calls.append(saved.rounds))
     assert run(*words, "-o", ended, "--resume") == 0
     assert rounds not in calls, "it is not done again"
     assert ended.read_bytes() == whole.read_bytes()

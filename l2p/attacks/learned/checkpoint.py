@@ -20,12 +20,14 @@ from typing import Any, TypeVar, get_origin, get_type_hints
 import torch
 from torch import Tensor
 
+from l2p.attacks.learned.inputs import inputs_of
+from l2p.attacks.learned.inputs.family import Inputs
 from l2p.attacks.learned.learned import Learned, LearnedConfig
-from l2p.attacks.learned.network import RADII, LineTransformer, NetworkConfig
+from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.errors import InputError
 
 #: Number of the file's layout; a reader refuses those that it does not know.
-FORMAT = 3
+FORMAT = 4
 _FORMAT_KEY = "l2p_format"
 #: Hexadecimal digits of a digest: enough to tell checkpoints apart.
 _DIGITS = 12
@@ -40,43 +42,26 @@ class Checkpoint:
     Attributes
     ----------
     network : LineTransformer
+        Its configuration names the families of inputs.
     config : LearnedConfig
+        Rounds, tomography, local scales and surfaces.
     calibration : sequence of sequences of (float, float)
-        For each round and radius a and b of the probability sigmoid(a sure + b) of lying within it.
+        For each round and radius a and b of the probability sigmoid(a found + b) of lying within it.
     facts : dict
         How it was trained: plain values.
+    inputs : sequence of Inputs
+        The families with their constants; today's where they are left out.
     """
 
     network: LineTransformer
     config: LearnedConfig
     calibration: Sequence[Sequence[tuple[float, float]]]
     facts: dict[str, Any] = field(default_factory=dict)
+    inputs: Sequence[Inputs] = ()
 
-
-class LoadedLearned(Learned):
-    """The learned attack with the weights of a file, which its settings name.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    checkpoint : Checkpoint
-        What it holds.
-    config : LearnedConfig
-        How the rounds are run: those of the checkpoint, or fewer.
-    density : float
-        See :class:`l2p.attacks.learned.learned.Learned`.
-    """
-
-    def __init__(
-        self, path: str | PathLike[str], checkpoint: Checkpoint, config: LearnedConfig, density: float
-    ) -> None:
-        super().__init__(checkpoint.network, config, checkpoint.calibration, density)
-        self.source = {"checkpoint": Path(path).name, "digest": digest(path)}
-
-    def settings(self) -> dict[str, Any]:
-        """Those of the attack; the file's name, without its folder, and its digest."""
-        return {**super().settings(), **self.source}
+    def __post_init__(self) -> None:
+        if not self.inputs:
+            object.__setattr__(self, "inputs", inputs_of(self.network.config.inputs))
 
 
 def shipped() -> Path:
@@ -112,7 +97,12 @@ def save(path: str | PathLike[str], checkpoint: Checkpoint, *, overwrite: bool =
         _FORMAT_KEY: str(FORMAT),
         "network": json.dumps(asdict(checkpoint.network.config)),
         "learned": json.dumps(asdict(checkpoint.config)),
-        "radii": json.dumps(list(RADII)),
+        "inputs": json.dumps(
+            {
+                name: asdict(family)  # type: ignore[call-overload]
+                for name, family in zip(checkpoint.network.config.inputs, checkpoint.inputs, strict=True)
+            }
+        ),
         "calibration": json.dumps([[list(pair) for pair in part] for part in checkpoint.calibration]),
         "facts": json.dumps(checkpoint.facts, ensure_ascii=False),
     }
@@ -147,31 +137,31 @@ def load(path: str | PathLike[str], *, rounds: int | None = None, density: float
         if not 0 <= rounds <= config.rounds:
             raise InputError(f"got {rounds} rounds; expected 0 to {config.rounds}, those that {path} was trained for")
         config = replace(config, rounds=rounds)
-    return LoadedLearned(path, checkpoint, config, density)
+    source = {"checkpoint": Path(path).name, "digest": digest(path)}
+    return Learned(checkpoint.network, config, checkpoint.calibration, density, checkpoint.inputs, source)
 
 
 def read(path: str | PathLike[str]) -> Checkpoint:
     """All that a checkpoint file holds; raises as :func:`load` does."""
     path = Path(path)
-    metadata, tensors = _opened(path)
+    metadata, tensors = opened(path)
     _check_format(path, metadata)
     try:
         size = configured(NetworkConfig, json.loads(metadata["network"]))
         config = configured(LearnedConfig, json.loads(metadata["learned"]))
         calibration = [[(float(a), float(b)) for a, b in part] for part in json.loads(metadata["calibration"])]
-        radii = tuple(json.loads(metadata["radii"]))
+        constants = dict(json.loads(metadata["inputs"]))
         facts = dict(json.loads(metadata["facts"]))
+        inputs = inputs_of(size.inputs, constants)
     except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise InputError(f"{path} has a damaged header ({error}); download or train the checkpoint again") from error
-    if radii != RADII:
-        raise InputError(f"{path} knows how sure it is within {radii} spacings; expected {RADII}; train it again")
-    if len(calibration) != config.rounds or any(len(part) != len(RADII) for part in calibration):
+    if len(calibration) != config.rounds or any(len(part) != len(size.radii) for part in calibration):
         raise InputError(
             f"{path} has {len(calibration)} calibrations for {config.rounds} rounds; expected one a round and radius"
         )
     if not all(math.isfinite(number) for part in calibration for pair in part for number in pair):
         raise InputError(f"{path} has calibrations that are NaN or infinite; it is damaged")
-    return Checkpoint(_network(path, size, tensors), config, calibration, facts)
+    return Checkpoint(network_of(path, size, tensors), config, calibration, facts, inputs)
 
 
 def configured(kind: type[Config], values: dict[str, Any]) -> Config:
@@ -194,7 +184,7 @@ def _value(kind: Any, value: Any) -> Any:
     return value
 
 
-def _opened(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+def opened(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
     from safetensors import SafetensorError, safe_open
 
     if os.path.isdir(path):
@@ -214,10 +204,12 @@ def _check_format(path: Path, metadata: dict[str, str]) -> None:
         raise InputError(f"{path} is a safetensors file of another program; expected a checkpoint of l2p")
     if int(written) != FORMAT:
         mend = "update l2p" if int(written) > FORMAT else "train or download it again"
+        if int(written) == 3:
+            mend = "convert it: python -m train.convert OLD NEW"
         raise InputError(f"{path} has format {written}, this version of l2p reads format {FORMAT}; {mend}")
 
 
-def _network(path: Path, size: NetworkConfig, tensors: dict[str, Tensor]) -> LineTransformer:
+def network_of(path: Path, size: NetworkConfig, tensors: dict[str, Tensor]) -> LineTransformer:
     if size.layers > len(tensors) or size.width > sum(value.numel() for value in tensors.values()):
         raise InputError(f"{path} has too few tensors for {size.layers} layers of width {size.width}; it is damaged")
     try:

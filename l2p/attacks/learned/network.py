@@ -24,29 +24,20 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from l2p.attacks.learned.features import EDGE, FAMILIES, STATE, VOTES, Edges
+from l2p.attacks.learned.edges import Edges, feature_names, vote_names
+from l2p.attacks.learned.inputs import GEOMETRY, inputs_of
 
-#: Radii, in spacings of the line cloud's own points, within which the network says how likely a point is found.
-RADII = (0.125, 0.25, 0.5, 1.0, 2.0)
-#: Numbers of a foot in each head: density of all candidates, of the confident ones, plain count, and mean shift.
+#: Densities and shift of a foot in each head: of all candidates, of the confident ones, plain count, and mean shift.
 _AROUND = 4
-#: Local scales that the mean of the feet may lie from a foot.
-_FARTHEST_MEAN = 3.0
-#: Numbers of a token that are pooled over the line.
-_POOLED = 16
-#: Bounds of the logarithm of a density against the densest, and its factor: inputs of a network are about 1.
-_LOG_RANGE, _LOG_FACTOR = 15.0, 0.3
-#: What a network can do without: families of features, the numbers about the surroundings of a foot, states, votes.
-PARTS = (*FAMILIES, "density", "state", *(f"{kind}_vote" for kind in VOTES))
 #: Logit of what is not there.
 NOTHING = -30.0
-#: Logit of a vote that is not there: not even a line without any other votes for it.
+#: Logit of padding among votes; low enough to vanish in a softmax over padding only.
 NO_VOTE = -1e9
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes of the network.
+    """Sizes of the network, and constants of what it computes.
 
     Attributes
     ----------
@@ -56,8 +47,19 @@ class NetworkConfig:
         Attention layers.
     heads : int
         Widths s_h of the attention, spread geometrically from ``finest`` to ``widest`` local scales.
-    without : tuple of str
-        Parts that are left out, of ``PARTS``: for measuring what they are worth.
+    inputs : tuple of str
+        Families of inputs (:data:`l2p.attacks.learned.inputs.INPUTS`).
+    state : int
+        Numbers that each line passes to the lines around it in the next round.
+    radii : tuple of float
+        Radii, in spacings of the line cloud's own points, for which the network gives the logit that a point is found
+        within them; 1 is among them.
+    pooled : int
+        Numbers of a token that are pooled over the line.
+    farthest_mean : float
+        Local scales that the mean of the feet may lie from a foot.
+    log_range, log_factor : float
+        Bound of the logarithm of a density against the densest, and its factor: inputs of a network are about 1.
     """
 
     width: int = 64
@@ -65,7 +67,13 @@ class NetworkConfig:
     heads: int = 4
     finest: float = 0.25
     widest: float = 2.0
-    without: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = GEOMETRY
+    state: int = 8
+    radii: tuple[float, ...] = (0.125, 0.25, 0.5, 1.0, 2.0)
+    pooled: int = 16
+    farthest_mean: float = 3.0
+    log_range: float = 15.0
+    log_factor: float = 0.3
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.heads < 1 or self.width % self.heads:
@@ -75,12 +83,17 @@ class NetworkConfig:
                 f"got {self.layers} layers and heads of {self.finest} to {self.widest} local scales; expected at least "
                 "0 layers, and widths that rise from above 0"
             )
+        if self.state < 1 or self.pooled < 1:
+            raise ValueError(f"got state {self.state} and pooled {self.pooled}; expected at least 1 of each")
+        rising = all(0 < low < high for low, high in zip(self.radii, self.radii[1:], strict=False))
+        if len(self.radii) < 2 or 1.0 not in self.radii or not rising:
+            raise ValueError(f"got radii {self.radii}; expected at least two that rise from above 0, 1 among them")
+        inputs_of(self.inputs)
 
-        unknown = sorted(set(self.without) - set(PARTS))
-        if unknown:
-            raise ValueError(f"got a network without {', '.join(unknown)}; expected parts of {', '.join(PARTS)}")
-        if {f"{kind}_vote" for kind in VOTES} <= set(self.without):
-            raise ValueError("got a network without any votes; expected one kind of them at least")
+    @property
+    def one(self) -> int:
+        """The radius of 1 spacing among ``radii``."""
+        return self.radii.index(1.0)
 
     @property
     def scales(self) -> list[float]:
@@ -94,7 +107,7 @@ class Judgement(NamedTuple):
 
     ``affinity``: logit of each candidate being a true neighbour. ``place``: each candidate's votes, positions on the
     line from the estimate before, ``spread``: the size of their errors, ``vote``: logits of the point being there, over
-    all votes of a line. ``sure``: logits of the point being found within each of ``RADII``. ``state`` is handed to the
+    all votes of a line. ``found``: logits of the point being found within each of the radii. ``state`` is passed to the
     next round.
     """
 
@@ -103,7 +116,7 @@ class Judgement(NamedTuple):
     spread: Float[Tensor, "lines k votes"]
     vote: Float[Tensor, "lines k votes"]
     state: Float[Tensor, "lines state"]
-    sure: Float[Tensor, "lines radii"]
+    found: Float[Tensor, "lines radii"]
 
 
 class Attention(NamedTuple):
@@ -124,12 +137,12 @@ class Attention(NamedTuple):
 class PositionAttention(nn.Module):
     """Tokens attend to each other by position along the line; the kernels are shared by all layers."""
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, width: int, pooled: int) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(width)
         self.value = nn.Linear(width, width)
-        self.global_value = nn.Linear(width, _POOLED)
-        self.mix = nn.Linear(2 * width + 2 * _POOLED, width)
+        self.global_value = nn.Linear(width, pooled)
+        self.mix = nn.Linear(2 * width + 2 * pooled, width)
         self.expand = nn.Linear(width, 2 * width)
         self.shrink = nn.Linear(2 * width, width)
 
@@ -161,47 +174,43 @@ class LineTransformer(nn.Module):
     def __init__(self, config: NetworkConfig | None = None) -> None:
         super().__init__()
         self.config = config or NetworkConfig()
-        width, heads, without = self.config.width, self.config.heads, self.config.without
-        lost = {name for part in without for name in FAMILIES.get(part, ())}
-        #: Of the edge features, and of the votes of a pair, those that the network has.
-        self.features = [place for place, name in enumerate(EDGE) if name not in lost]
-        self.kinds = [place for place, kind in enumerate(VOTES) if f"{kind}_vote" not in without]
-        self.sees_states, self.sees_densities = "state" not in without, "density" not in without
-        inputs = len(self.features) + self.sees_states * STATE + self.sees_densities * _AROUND * heads
-        votes = len(self.kinds)
-        self.embed = nn.Sequential(nn.Linear(inputs, width), nn.GELU(), nn.Linear(width, width))
+        width, heads, state = self.config.width, self.config.heads, self.config.state
+        inputs = inputs_of(self.config.inputs)
+        features, votes = len(feature_names(inputs)), len(vote_names(inputs))
+        self.embed = nn.Sequential(
+            nn.Linear(features + state + _AROUND * heads, width), nn.GELU(), nn.Linear(width, width)
+        )
         # Logarithms of the spread of each kind of votes, in local scales.
         self.log_spread = nn.Parameter(torch.full((votes,), -1.5))
-        self.layers = nn.ModuleList(PositionAttention(width) for _ in range(self.config.layers))
+        self.layers = nn.ModuleList(PositionAttention(width, self.config.pooled) for _ in range(self.config.layers))
         self.norm = nn.LayerNorm(width)
         self.judge = nn.Linear(width, 1 + votes)
-        self.pool = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, STATE + len(RADII)))
+        self.pool = nn.Sequential(
+            nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, state + len(self.config.radii))
+        )
 
     def forward(self, edges: Edges) -> Judgement:
         """Judge the candidates; padding gets a logit that stands for nothing."""
         attention, around = self._kernels(edges)
-        inputs = [_columns(edges.feature, self.features)]
-        inputs += [edges.state] if self.sees_states else []
-        inputs += [around] if self.sees_densities else []
-        token = self.embed(torch.cat(inputs, dim=2))
+        token = self.embed(torch.cat([edges.feature, edges.state, around], dim=2))
         for layer in self.layers:
             token = layer(token, attention, edges.valid)
         token = self.norm(token)
         judged = self.judge(token)
         affinity = judged[..., 0].masked_fill(~edges.valid, NOTHING)
         vote = judged[..., 1:].masked_fill(~edges.valid[..., None], NO_VOTE)
-        spread = edges.width.masked_fill(~edges.valid, 1.0)[..., None] * self.log_spread.exp()
+        spread = edges.scale.masked_fill(~edges.valid, 1.0)[..., None] * self.log_spread.exp()
         pooled = self.pool(_pooled(token, affinity, edges.valid))
-        state, sure = torch.tanh(pooled[:, :STATE]), _rising(pooled[:, STATE:])
-        return Judgement(affinity, _columns(edges.vote, self.kinds), spread, vote, state, sure)
+        state, found = torch.tanh(pooled[:, : self.config.state]), _rising(pooled[:, self.config.state :])
+        return Judgement(affinity, edges.vote, spread, vote, state, found)
 
     def _kernels(self, edges: Edges) -> tuple[Attention, Float[Tensor, "lines k around"]]:
         """The attention of each head, and inputs about what is around each foot."""
-        valid, count = edges.valid, edges.valid.to(edges.gap.dtype)
-        width = edges.width.masked_fill(~valid, 1.0)
+        valid, count = edges.valid, edges.valid.to(edges.scale.dtype)
+        width = edges.scale.masked_fill(~valid, 1.0)
         foot = edges.foot.masked_fill(~valid, 0)
         # Rows are the candidates k, columns the feet j.
-        gap2 = edges.gap.square().masked_fill(~valid, torch.inf)
+        gap2 = edges.point_line.square().masked_fill(~valid, torch.inf)
         apart2 = (foot[:, None, :] - foot[:, :, None]).square_().add_(gap2[:, :, None])
         apart2 = apart2.mul_(width.square().reciprocal()[:, :, None])
         # (1 + a / s^2)^-2 = s^4 (s^2 + a)^-2; the factor goes where there are fewer numbers.
@@ -216,18 +225,14 @@ class LineTransformer(nn.Module):
         total = weights[:, None] @ kernel * factor  # lines heads 4 feet
         level = total[:, :, :3].clamp_min(1e-12).log()
         level[:, :, :2] -= level[:, :, :2].masked_fill(~valid[:, None, None], -torch.inf).amax(dim=3, keepdim=True)
-        level = level.clamp(-_LOG_RANGE, _LOG_RANGE) * _LOG_FACTOR
+        level = level.clamp(-self.config.log_range, self.config.log_range) * self.config.log_factor
         _, sure, number, moment = total.unbind(dim=2)
         shift = torch.where(sure > 1e-12, moment / sure.clamp_min(1e-12) - foot[:, None], 0.0) / width[:, None]
-        shift = edges.side[:, None] * shift.clamp(-_FARTHEST_MEAN, _FARTHEST_MEAN)
+        farthest = self.config.farthest_mean
+        shift = edges.side[:, None] * shift.clamp(-farthest, farthest)
         around = torch.cat([level, shift[:, :, None]], dim=2).flatten(1, 2)
         around = around.nan_to_num_().masked_fill_(~valid[:, None], 0).transpose(1, 2)
         return Attention(kernel, factor / (number[:, :, None] + 1e-2)), around
-
-
-def _columns(table: Float[Tensor, "lines k columns"], kept: list[int]) -> Float[Tensor, "lines k kept"]:
-    """Some of the columns."""
-    return table if len(kept) == table.shape[2] else table[..., kept]
 
 
 def _mean_and_most(value: Float[Tensor, "lines k n"], valid: Bool[Tensor, "lines k"]) -> Float[Tensor, "lines two_n"]:

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.work.shards import ALONE, Shards
+from l2p.work.shards import Shards
 
 #: Exchange between neighbours that turns the even spreading of a parent's mass into trilinear interpolation.
 TRILINEAR = 0.25
@@ -82,7 +82,7 @@ def root(side: int, device: torch.device) -> Cells:
 
 
 def children(
-    above: Cells, code: Int[Tensor, "lines m"], samples: int, shards: Shards = ALONE
+    above: Cells, code: Int[Tensor, "lines m"], samples: int, shards: Shards | None = None
 ) -> tuple[Cells, Int[Tensor, "lines m"]]:
     """The halves of cells that samples fall in, ``code`` being their octants, and the row of each sample's cell.
 
@@ -93,7 +93,7 @@ def children(
     occupied = torch.zeros(8 * parents, dtype=torch.bool, device=code.device)
     for part in code.view(-1).split(samples):
         occupied[part[part >= 0]] = True
-    shards.either(occupied)
+    (shards or Shards()).either(occupied)
     octant = torch.nonzero(occupied).flatten().int()
     del occupied
     count = len(octant)

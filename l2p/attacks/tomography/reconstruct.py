@@ -23,15 +23,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from l2p.attacks.tomography.octree import Cells, children, interpolate, root, smooth, total
 from l2p.attacks.tomography.posterior import Posterior
 from l2p.geometry.elements import Lines, picked
-from l2p.work.memory import fitting
-from l2p.work.progress import NO_PROGRESS, Progress
-from l2p.work.shards import ALONE, Shards
+from l2p.work.work import ALONE, Work
 
 #: Most line samples in one block of work, and bytes of temporaries of each.
 SAMPLES, _SAMPLE_BYTES = 1 << 20, 60
@@ -94,9 +92,7 @@ class _Level(NamedTuple):
     beta: Float[Tensor, "lines m"]
 
 
-def reconstruct(
-    lines: Lines, config: TomographyConfig | None = None, progress: Progress = NO_PROGRESS, shards: Shards = ALONE
-) -> Posterior:
+def reconstruct(lines: Lines, config: TomographyConfig | None = None, work: Work = ALONE) -> Posterior:
     """The posterior of each line's point, by expectation maximisation from coarse to fine.
 
     Parameters
@@ -104,36 +100,36 @@ def reconstruct(
     lines : Lines
         In the working frame (:class:`l2p.geometry.frame.Frame`), along whose axes the grid lies; the unit does not
         matter.
-    shards : Shards
+    work : Work
         The answer is that of the lines of this process.
     """
-    half, level, density = _converged(lines, config or TomographyConfig(), progress, shards)
-    own = lines.rows(shards.own(len(lines.direction)))
+    half, level, density = _converged(lines, config or TomographyConfig(), work)
+    own = lines.rows(work.own(len(lines.direction)))
     width = 2 * half / level.cells[-1].side
     probability = torch.empty_like(level.beta)
-    for rows in _blocks(*level.cell.shape):
+    for rows in _blocks(level.cell, work):
         probability[rows] = _posterior(level, density, rows)
     return Posterior(level.beta, probability, width / own.direction.abs().amax(dim=1))
 
 
 def _converged(
-    lines: Lines, config: TomographyConfig, progress: Progress = NO_PROGRESS, shards: Shards = ALONE
+    lines: Lines, config: TomographyConfig, work: Work = ALONE
 ) -> tuple[float, _Level, Float[Tensor, " cells"]]:
     """Half the side of the box, the finest level, and the mass of each of its cells."""
     half = _half_side(lines, config)
-    lines = lines.rows(shards.own(len(lines.direction)))
-    level = _first_level(lines, half, config.start)
+    lines = lines.rows(work.own(len(lines.direction)))
+    level = _first_level(lines, half, config.start, work)
     density = level.beta.new_ones(config.start**3)
-    with progress.task("tomography", total=config.levels * config.iterations) as advance:
+    with work.task("tomography", total=config.levels * config.iterations) as advance:
         for depth in range(config.levels):
             if depth > 0:
-                level = _refined(lines, half, level, density, config.segments, shards)
+                level = _refined(lines, half, level, density, config.segments, work)
                 density = density.index_select(0, level.cells[-1].parent) * level.shape[-1]
             for _ in range(config.iterations):
-                density = _update(level, density, config, shards)
+                density = _update(level, density, config, work)
                 advance(1)
             # Processors of another make may add it up to other digits, and all have to stop as one.
-            if float(shards.first(_crowd(density))) < config.crowd or len(density) > MOST_CELLS:
+            if float(work.shards.first(_crowd(density))) < config.crowd or len(density) > MOST_CELLS:
                 break
     return half, level, density
 
@@ -145,13 +141,13 @@ def _half_side(lines: Lines, config: TomographyConfig) -> float:
     return half if half > 0 else 1.0
 
 
-def _first_level(lines: Lines, half: float, side: int) -> _Level:
+def _first_level(lines: Lines, half: float, side: int, work: Work = ALONE) -> _Level:
     """All cells of the box; samples where a line crosses the middle planes of the slabs along its dominant axis."""
     axis = lines.direction.abs().argmax(dim=1, keepdim=True)
     plane = (torch.arange(side, device=axis.device) + 0.5) * (2 * half / side) - half
     beta = (plane - lines.foot.gather(1, axis)) / lines.direction.gather(1, axis)
     cell = torch.empty_like(beta, dtype=torch.int32)
-    for rows in _blocks(*beta.shape):
+    for rows in _blocks(beta, work):
         place = _places(lines.rows(rows), half, side, beta[rows])
         inside = ((place >= 0) & (place < side)).all(dim=0)
         i, j, k = place.clamp(0, side - 1)
@@ -160,7 +156,7 @@ def _first_level(lines: Lines, half: float, side: int) -> _Level:
 
 
 def _refined(
-    lines: Lines, half: float, level: _Level, density: Float[Tensor, " cells"], segments: int, shards: Shards
+    lines: Lines, half: float, level: _Level, density: Float[Tensor, " cells"], segments: int, work: Work
 ) -> _Level:
     """The most probable segments of each line, each cut in two, and the halves of the cells that they cross."""
     keep = min(segments, level.cell.shape[1])
@@ -168,7 +164,7 @@ def _refined(
     quarter = (half / above.side / 2) / lines.direction.abs().amax(dim=1, keepdim=True)
     beta = level.beta.new_empty(len(level.beta), 2 * keep)
     code = torch.empty_like(beta, dtype=torch.int32)
-    for rows in _blocks(*level.cell.shape):
+    for rows in _blocks(level.cell, work):
         # In the order along the line, whatever the order of equals.
         best = torch.topk(_posterior(level, density, rows), keep, dim=1, sorted=False).indices.sort(dim=1).values
         middle = level.beta[rows].gather(1, best)
@@ -176,7 +172,7 @@ def _refined(
         parent = level.cell[rows].gather(1, best).repeat_interleave(2, dim=1)
         place = _places(lines.rows(rows), half, 2 * above.side, beta[rows])
         code[rows] = above.octants(parent.flatten(), place.flatten(1)).view(parent.shape)
-    cells, row = children(above, code, fitting(SAMPLES, _SAMPLE_BYTES), shards)
+    cells, row = children(above, code, work.fitting(SAMPLES, _SAMPLE_BYTES), work.shards)
     inherited = density.index_select(0, cells.parent)
     shape = interpolate(inherited / 8, cells) / inherited.clamp_min(EMPTY)
     return _Level([*level.cells[:-1], above.without_neighbors(), cells], [*level.shape, shape], row, beta)
@@ -191,24 +187,22 @@ def _places(lines: Lines, half: float, side: int, beta: Float[Tensor, "lines m"]
 
 
 def _update(
-    level: _Level, density: Float[Tensor, " cells"], config: TomographyConfig, shards: Shards = ALONE
+    level: _Level, density: Float[Tensor, " cells"], config: TomographyConfig, work: Work = ALONE
 ) -> Float[Tensor, " cells"]:
     """One EM update: forward projection, back projection, then the prior."""
-    mass = smooth(_back_projection(level, density, shards), level.cells[-1], config.smoothing)
+    mass = smooth(_back_projection(level, density, work), level.cells[-1], config.smoothing)
     return _shrink(mass, level.cells, level.shape, config.shrinkage)
 
 
-def _back_projection(
-    level: _Level, density: Float[Tensor, " cells"], shards: Shards = ALONE
-) -> Float[Tensor, " cells"]:
+def _back_projection(level: _Level, density: Float[Tensor, " cells"], work: Work = ALONE) -> Float[Tensor, " cells"]:
     """The sum of what the lines spread, whatever their order: MLEM with a sensitivity of 1."""
     # Apple's GPUs add up no integers of this size.
     whole = density.dtype if density.device.type == "mps" else torch.int64
     mass = torch.zeros(len(density) + 1, dtype=whole, device=density.device)
-    for rows in _blocks(*level.cell.shape):
+    for rows in _blocks(level.cell, work):
         spread = (_posterior(level, density, rows) / _GRAIN).to(whole)
         mass.scatter_add_(0, level.cell[rows].flatten().long(), spread.flatten())
-    shards.sum(mass)
+    work.shards.sum(mass)
     return mass[:-1].to(density.dtype) * _GRAIN
 
 
@@ -249,7 +243,9 @@ def _crowd(density: Float[Tensor, " cells"]) -> Float[Tensor, ""]:
     return density.square().sum() / density.sum().clamp_min(torch.finfo(density.dtype).tiny)
 
 
-def _blocks(lines: int, samples: int) -> Iterator[slice]:
-    rows = max(1, fitting(SAMPLES, _SAMPLE_BYTES) // max(samples, 1))
+def _blocks(samples: Shaped[Tensor, "lines m"], work: Work) -> Iterator[slice]:
+    """Slices of lines, each with at most about ``SAMPLES`` samples."""
+    lines, each = samples.shape
+    rows = max(1, work.fitting(SAMPLES, _SAMPLE_BYTES) // max(each, 1))
     for begin in range(0, lines, rows):
         yield slice(begin, min(begin + rows, lines))
