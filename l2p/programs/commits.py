@@ -22,9 +22,9 @@ def commit() -> str | None:
 
 
 @cache
-def source_digest(*names: str) -> str:
-    """A digest of the sources of l2p, or of the named files in it: it differs where results may."""
-    files = [PACKAGE / name for name in names] or sorted(PACKAGE.rglob("*.py"))
+def source_digest(room: str = "") -> str:
+    """Digest of the sources of l2p, or of one room: it differs where results may."""
+    files = sorted((PACKAGE / room).rglob("*.py"))
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.relative_to(PACKAGE).as_posix().encode())

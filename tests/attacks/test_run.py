@@ -264,7 +264,7 @@ def test_colours_and_settings_come_along(truth):
         ({"density": float("nan")}, "got density nan"),
         ({"rounds": -1}, "got -1 rounds; expected 0 to"),
         ({"rounds": 100}, "got 100 rounds; expected 0 to .*, those that .*learned.safetensors was trained for"),
-        ({"checkpoint": Path(__file__)}, "test_attack.py is no safetensors file"),
+        ({"checkpoint": Path(__file__)}, "test_run.py is no safetensors file"),
     ],
 )
 def test_what_cannot_be_run_is_refused(truth, direction, arguments, message):

@@ -78,7 +78,7 @@ def drawn() -> None:
 def _quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Other tests do without figures, which take longer than all the rest."""
     if "drawn" not in request.fixturenames:
-        monkeypatch.setattr("eval.program.draw_figures", lambda rows, knowing: [])
+        monkeypatch.setattr("eval.evaluation.draw_figures", lambda rows, knowing: [])
 
 
 @pytest.fixture
