@@ -101,10 +101,11 @@ def draw_lifting(room: Room) -> None:
 def typical_line(room: Room, neighbors: Int[torch.Tensor, "lines k"]) -> int:
     """A line whose peak is right and of middling sharpness."""
     votes = closest_points(room.inside, room.inside, neighbors)
-    peak = find_peak(votes.beta, votes.valid.float(), PeakConfig(rule="single"))
-    off = (room.inside.at(peak.beta) - room.points).norm(dim=1) / room.unit
+    beta = find_peak(votes.beta, votes.valid.float())
+    off = (room.inside.at(beta) - room.points).norm(dim=1) / room.unit
     right = torch.nonzero(off < 0.1).flatten()
-    return int(right[peak.statistic[right].argsort()[len(right) // 2]])
+    near = ((votes.beta - beta[:, None]).abs() < 0.5 * room.unit).sum(dim=1)
+    return int(right[near[right].argsort()[len(right) // 2]])
 
 
 def intervals(votes: Float[np.ndarray, " votes"]) -> list[tuple[float, float]]:
@@ -133,7 +134,7 @@ def draw_votes(room: Room) -> None:
     trimmed = vote[order][5:-5].numpy() / room.unit
     true = float((room.points[row] - own.foot[0]) @ own.direction[0]) / room.unit
     steps = intervals(trimmed)
-    answer = float(find_peak(vote[None], None, PeakConfig(rule="single")).beta) / room.unit
+    answer = float(find_peak(vote[None])) / room.unit
     figure, panels = plt.subplots(2, 2, figsize=(13, 8), constrained_layout=True)
     _crossings(panels[0, 0], room, row, neighbors[row].long(), true)
     reach = (true - 14, true + 14)

@@ -32,7 +32,7 @@ def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     from l2p.attacks.learned.checkpoint import Checkpoint, save
     from l2p.attacks.learned.learned import LearnedConfig
-    from l2p.attacks.learned.network import RADII, LineTransformer, NetworkConfig
+    from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
@@ -47,7 +47,7 @@ def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "results": [{**result, "confident_half": 0.895, "calibration_error": 0.0213}],
     }
     path = tmp_path_factory.mktemp("checkpoint") / "tiny.safetensors"
-    calibration = [[(1.0, 0.0)] * len(RADII)] * 2
+    calibration = [[(1.0, 0.0)] * len(NetworkConfig.radii)] * 2
     save(path, Checkpoint(network, LearnedConfig(rounds=2, candidates=16), calibration, facts))
     return path
 

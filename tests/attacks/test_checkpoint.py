@@ -7,22 +7,25 @@ import pickle
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
-from l2p.attacks.learned.features import VOTES
 from safetensors.torch import load_file, save_file
 
+import l2p
 from l2p.attacks.learned import checkpoint
 from l2p.attacks.learned.checkpoint import Checkpoint
 from l2p.attacks.learned.learned import LearnedConfig
-from l2p.attacks.learned.network import RADII, LineTransformer, NetworkConfig
+from l2p.attacks.learned.network import LineTransformer, NetworkConfig
+from l2p.attacks.run import run
 from l2p.errors import InputError
 
 SIZE = NetworkConfig(width=8, layers=1, heads=2, finest=0.5)
 CONFIG = LearnedConfig(rounds=2, candidates=16)
+RADII = SIZE.radii
 CALIBRATION = [[(1.0 + radius, -0.1 * number) for radius in RADII] for number in range(2)]
-#: Numbers that the network gives of each candidate.
-JUDGED = 1 + len(VOTES)
+#: Outputs of the network per candidate: an affinity and three votes.
+JUDGED = 1 + 3
 
 
 @pytest.fixture
@@ -112,11 +115,17 @@ def test_a_foreign_file_is_refused(file: Path, metadata: dict[str, str] | None) 
 
 
 @pytest.mark.parametrize(
-    ("format", "mend"), [(1, "train or download it again"), (2, "train or download it again"), (4, "update l2p")]
+    ("format", "mend"),
+    [
+        (1, "train or download it again"),
+        (2, "train or download it again"),
+        (3, "convert it: python -m train.convert"),
+        (5, "update l2p"),
+    ],
 )
 def test_another_format_is_refused(file: Path, format: int, mend: str) -> None:
     save_file(load_file(file), file, {**header(file), "l2p_format": str(format)})
-    with pytest.raises(InputError, match=f"has format {format}, this version of l2p reads format 3; {mend}"):
+    with pytest.raises(InputError, match=f"has format {format}, this version of l2p reads format 4; {mend}"):
         checkpoint.load(file)
 
 
@@ -130,11 +139,13 @@ def test_another_format_is_refused(file: Path, format: int, mend: str) -> None:
         ("network", '{"width": 8, "layers": 1, "heads": 3, "finest": 0.5, "widest": 2.0}'),
         ("network", '{"width": "8", "layers": 1, "heads": 2, "finest": 0.5, "widest": 2.0}'),
         ("learned", None),
-        ("learned", '{"rounds": 2, "candidates": 16, "batch": 64, "peak": {"threshold": 0.5}}'),
-        ("learned", '{"rounds": 2, "candidates": 16, "batch": 64}'),
+        ("learned", '{"rounds": 2, "candidates": 16, "peak": {"threshold": 0.5}}'),
+        ("learned", '{"rounds": 2, "candidates": 16}'),
         ("calibration", None),
         ("calibration", "[[1.0]]"),
-        ("radii", None),
+        ("inputs", None),
+        ("inputs", "{}"),
+        ("inputs", "[]"),
         ("facts", None),
     ],
 )
@@ -152,11 +163,35 @@ def test_each_round_and_radius_has_a_calibration(file: Path, calibration: list) 
         checkpoint.load(file)
 
 
-@pytest.mark.parametrize("radii", [[0.5, 1.0], [*RADII[:-1], 3.0]])
-def test_other_radii_are_refused(file: Path, radii: list[float]) -> None:
-    save_file(load_file(file), file, {**header(file), "radii": json.dumps(radii)})
-    with pytest.raises(InputError, match=r"knows how sure it is within .* spacings; expected .*; train it again"):
+@pytest.mark.parametrize("constants", [{"least": "x"}, {"least": 1e-3, "other": 1}, {}])
+def test_constants_that_an_input_does_not_have_are_refused(file: Path, constants: dict) -> None:
+    inputs = {**json.loads(header(file)["inputs"]), "distance": constants}
+    save_file(load_file(file), file, {**header(file), "inputs": json.dumps(inputs)})
+    with pytest.raises(InputError, match="of input distance; expected numbers for"):
         checkpoint.load(file)
+
+
+def test_the_file_names_every_constant_that_made_its_inputs(file: Path) -> None:
+    inputs, learned = (json.loads(header(file)[name]) for name in ("inputs", "learned"))
+    assert set(inputs) == set(SIZE.inputs)
+    assert inputs["wide_surface"] == {"grazing": 0.05, "farthest": 3.0} and inputs["distance"] == {"least": 1e-3}
+    assert learned["nodes"]["wide"] == 96 and learned["nodes"]["surface"]["roughness"] == 0.03
+    assert learned["tomography"]["iterations"] == 4 and learned["widening"] == 4.0
+
+
+def test_other_constants_change_the_points(file: Path, scene_points: np.ndarray) -> None:
+    """What the file says is used, not what the code has as its default."""
+    lines, before = l2p.lift(scene_points, seed=0), checkpoint.load(file)
+    learned = json.loads(header(file)["learned"])
+    learned["tomography"]["smoothing"] = 0.05
+    other = file.with_name("other.safetensors")
+    save_file(load_file(file), other, {**header(file), "learned": json.dumps(learned)})
+    inputs = json.loads(header(file)["inputs"])
+    inputs["surface"]["farthest"] = 0.5
+    third = file.with_name("third.safetensors")
+    save_file(load_file(file), third, {**header(file), "inputs": json.dumps(inputs)})
+    points = [run(lines, attack).xyz for attack in (before, checkpoint.load(other), checkpoint.load(third))]
+    assert not np.array_equal(points[0], points[1]) and not np.array_equal(points[0], points[2])
 
 
 @pytest.mark.parametrize(

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 import torch
-from l2p.attacks.learned.features import Told, surroundings
 from tiny import learned as attack
 
 import l2p
-from l2p.attacks.attack import own_order
+from l2p.attacks.attack import Elements
 from l2p.attacks.learned.learned import (
+    Learned,
     LearnedConfig,
     Round,
+    State,
     _between,
-    first_nodes,
-    judge_round,
     relaxed,
     spacing_ratio,
     weighted_peak,
 )
-from l2p.attacks.learned.network import NO_VOTE, RADII, Judgement
+from l2p.attacks.learned.network import NO_VOTE, Judgement, NetworkConfig
+from l2p.attacks.learned.nodes import Estimates
 from l2p.attacks.run import run
 from l2p.attacks.tomography.posterior import modes
 from l2p.attacks.tomography.reconstruct import reconstruct
@@ -31,7 +32,10 @@ from l2p.geometry.frame import Frame
 from l2p.judging.accuracy import spacing
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
+from l2p.work.shards import BLOCK
+from l2p.work.work import Work
 
+RADII = NetworkConfig.radii
 #: Of the lines: samples on the borders of cells, and ties between candidates, fall either way.
 SHARE = 0.99
 
@@ -39,6 +43,12 @@ SHARE = 0.99
 @pytest.fixture(scope="module")
 def lines(scene_points: np.ndarray) -> LineCloud:
     return l2p.lift(scene_points, seed=0)
+
+
+@pytest.fixture(scope="module")
+def many(on_walls: Callable[[int], np.ndarray]) -> LineCloud:
+    """Several blocks of lines."""
+    return l2p.lift(on_walls(3 * BLOCK + 40), seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -63,26 +73,27 @@ def test_runs_are_equal_to_the_last_bit(lines: LineCloud, first: Recovery) -> No
     np.testing.assert_array_equal(first.xyz, run(lines, attack()).xyz)
 
 
-def test_batches_change_nothing(lines: LineCloud, first: Recovery) -> None:
-    assert_nearly_all_close(first.xyz, run(lines, attack(batch=37)).xyz)
-
-
-def test_threads_change_nothing(lines: LineCloud) -> None:
-    inside, method, before = Frame.of(lines).enter(lines), attack(batch=32), torch.get_num_threads()
-    found = []
+def begun(lines: LineCloud, method: Learned) -> State:
+    """The state before the first round."""
+    frame = Frame.of(lines)
     with torch.inference_mode():
-        posterior = reconstruct(inside)
-        nodes = first_nodes(inside, posterior)
+        return method.begin(Elements.sorted(frame.enter(lines), frame, {}), None, Work())
+
+
+def test_threads_change_nothing(many: LineCloud) -> None:
+    method, before = attack(), torch.get_num_threads()
+    state, results = begun(many, method), []
+    with torch.inference_mode():
         for threads in (1, 2):
             torch.set_num_threads(threads)
             try:
-                found.append(judge_round(inside, nodes, posterior, method.network, method.config))
+                results.append(method.judge(state))
             finally:
                 torch.set_num_threads(before)
-    one, two = found
-    assert torch.equal(one.told.beta, two.told.beta)
+    one, two = results
+    assert torch.equal(one.estimates.beta, two.estimates.beta)
     assert torch.equal(one.affinity, two.affinity)
-    assert torch.equal(one.sure, two.sure)
+    assert torch.equal(one.found, two.found)
 
 
 def test_flipped_directions_change_nothing(lines: LineCloud, first: Recovery, rng: np.random.Generator) -> None:
@@ -145,34 +156,27 @@ def test_no_rounds_leave_the_modes_of_the_tomography(lines: LineCloud) -> None:
 
 
 @pytest.mark.parametrize("rounds", [1, 3])
-def test_one_network_judges_every_line_in_every_round(lines: LineCloud, rounds: int) -> None:
+def test_one_network_judges_every_line_in_every_round(many: LineCloud, rounds: int) -> None:
     method, seen = attack(rounds), []
     method.network.register_forward_hook(lambda _, given, __: seen.append(len(given[0].valid)))
-    run(lines, method)
-    assert sum(seen) == rounds * len(lines) and max(seen) == 64
+    run(many, method)
+    assert sum(seen) == rounds * len(many) and max(seen) == BLOCK
 
 
 def test_a_round_starts_from_what_the_one_before_found(lines: LineCloud, first: Recovery) -> None:
-    method, frame = attack(), Frame.of(lines)
+    method = attack()
+    state = begun(lines, method)
     with torch.inference_mode():
-        entered = frame.enter(lines)
-        order = own_order(entered)
-        inside = entered.rows(order)
-        posterior = reconstruct(inside)
-        nodes = first_nodes(inside, posterior)
-        before = judge_round(inside, nodes, posterior, method.network, method.config)
-        told = relaxed(nodes, before.told, method.config)
-        after = judge_round(inside, surroundings(inside, told), posterior, method.network, method.config)
-    np.testing.assert_array_equal(first.beta, frame.leave(lines, after.told.beta[order.argsort()]))
+        after = method.judge(method.next(state, method.judge(state)))
+    beta = after.estimates.beta[state.elements.row.argsort()]
+    np.testing.assert_array_equal(first.beta, state.elements.frame.leave(lines, beta))
     assert not np.allclose(first.beta, run(lines, attack(rounds=1)).beta, atol=1e-3)
 
 
 def test_relaxation_moves_estimates_on_but_not_those_that_jumped(lines: LineCloud) -> None:
-    inside = Frame.of(lines).enter(lines)
-    with torch.inference_mode():
-        nodes = first_nodes(inside, reconstruct(inside))
+    nodes = begun(lines, attack()).nodes
     share = torch.linspace(-2.5, 2.5, len(nodes.beta))
-    told = Told(nodes.beta + share * nodes.scale, nodes.confidence, nodes.state)
+    told = Estimates(nodes.beta + share * nodes.scale, nodes.confidence, nodes.state)
     again = relaxed(nodes, told, LearnedConfig(relaxation=1.5))
     for i, part in enumerate(share.tolist()):
         factor = 1.5 if abs(part) < 1 else 1.0
@@ -183,8 +187,7 @@ def test_relaxation_moves_estimates_on_but_not_those_that_jumped(lines: LineClou
     assert torch.equal(relaxed(nodes, told, LearnedConfig(relaxation=1.0)).beta, told.beta)
 
 
-@pytest.mark.parametrize("weight", ["vote", "affinity"])
-def test_votes_settle_from_kuipers_peak_on(weight: str) -> None:
+def test_votes_settle_from_kuipers_peak_on() -> None:
     """Two votes of the lines' own crowd are moved together; absent ones are of no weight."""
     draw = torch.Generator().manual_seed(0)
     place = torch.randn(9, 6, 3, generator=draw)
@@ -192,13 +195,11 @@ def test_votes_settle_from_kuipers_peak_on(weight: str) -> None:
     vote[:, 4:], vote[0] = NO_VOTE, NO_VOTE
     some = torch.zeros(9, 6)
     judgement = Judgement(some, place, torch.full_like(place, 0.01), vote, some, some)
-    kuiper = weighted_peak(judgement, LearnedConfig(weight=weight, settling=0))
-    once = weighted_peak(judgement, LearnedConfig(weight=weight, settling=1))
+    kuiper = weighted_peak(judgement, LearnedConfig(settling=0))
+    once = weighted_peak(judgement, LearnedConfig(settling=1))
     assert (once != kuiper)[1:].all() and ((once - kuiper).abs() < 1)[1:].all()
-    if weight == "affinity":
-        assert kuiper[0] == once[0] == 0, "a line without votes stays where it is"
     moved = judgement._replace(place=torch.where(judgement.vote > NO_VOTE, place, 1e6))
-    one, other = (weighted_peak(some, LearnedConfig(weight=weight)) for some in (judgement, moved))
+    one, other = (weighted_peak(some, LearnedConfig()) for some in (judgement, moved))
     torch.testing.assert_close(one[1:], other[1:])
 
 
@@ -213,7 +214,7 @@ def test_calibration_of_the_last_round_makes_the_confidence(lines: LineCloud, fi
 def found(sure: torch.Tensor) -> Round:
     """A round with these logits."""
     nothing = torch.zeros(len(sure), 0)
-    return Round(Told(nothing.sum(dim=1), torch.sigmoid(sure[:, 0]), nothing), nothing.int(), nothing, sure)
+    return Round(Estimates(nothing.sum(dim=1), torch.sigmoid(sure[:, 0]), nothing), nothing.int(), nothing, sure)
 
 
 def test_each_radius_has_a_calibration_of_its_own() -> None:
@@ -237,7 +238,7 @@ def test_more_rounds_than_calibrations_are_refused() -> None:
         attack(rounds=2, calibration=[[(1.0, 0.0)] * len(RADII)])
 
 
-@pytest.mark.parametrize("values", [{"rounds": -1}, {"candidates": 0}, {"batch": 0}])
+@pytest.mark.parametrize("values", [{"rounds": -1}, {"candidates": 0}, {"settling": -1}])
 def test_settings_out_of_range_are_refused(values: dict[str, int]) -> None:
     with pytest.raises(InputError, match=r"got \w+ -?\d of the learned attack; expected at least"):
         LearnedConfig(**values)  # type: ignore[arg-type]
@@ -273,14 +274,14 @@ def test_the_spacing_of_a_map_follows_its_density() -> None:
 def test_between_two_radii_the_logit_is_between_theirs() -> None:
     logit = torch.randn(50, len(RADII), generator=torch.Generator().manual_seed(0)).cummax(dim=1).values
     for place, radius in enumerate(RADII):
-        torch.testing.assert_close(_between(logit, math.log(radius)), logit[:, place])
+        torch.testing.assert_close(_between(logit, RADII, math.log(radius)), logit[:, place])
     places = torch.linspace(math.log(RADII[0]), math.log(RADII[-1]), 40)
-    values = torch.stack([_between(logit, float(place)) for place in places], dim=1)
+    values = torch.stack([_between(logit, RADII, float(place)) for place in places], dim=1)
     assert (values.diff(dim=1) >= -1e-5).all()
 
 
 def test_below_the_smallest_radius_the_logit_goes_on_falling() -> None:
     logit = torch.arange(len(RADII)).float()[None] + torch.tensor([[0.0], [-3.0]])
-    one, other = (_between(logit, math.log(RADII[0]) - beyond) for beyond in (1.0, 2.0))
+    one, other = (_between(logit, RADII, math.log(RADII[0]) - beyond) for beyond in (1.0, 2.0))
     assert (one < logit[:, 0]).all() and (other < one).all()
     torch.testing.assert_close(other - logit[:, 0], 2 * (one - logit[:, 0]))

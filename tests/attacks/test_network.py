@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
-from l2p.attacks.learned.features import EDGE, FAMILIES, STATE, VOTES, Edges
 
-from l2p.attacks.learned.network import RADII, Judgement, LineTransformer, NetworkConfig
+from l2p.attacks.learned.edges import Edges, feature_names, vote_names
+from l2p.attacks.learned.inputs import GEOMETRY, inputs_of
+from l2p.attacks.learned.network import Judgement, LineTransformer, NetworkConfig
 
 LINES, K = 7, 12
+INPUTS = inputs_of(GEOMETRY)
+EDGE, VOTES = feature_names(INPUTS), vote_names(INPUTS)
+STATE, RADII = NetworkConfig.state, NetworkConfig.radii
 #: Lines with padding, and with nothing else.
 SHORT, EMPTY = 2, 3
 
@@ -32,14 +35,13 @@ def edges() -> Edges:
     return Edges(
         vote=torch.randn(LINES, K, len(VOTES), generator=draw),
         foot=torch.randn(LINES, K, generator=draw),
-        gap=torch.rand(LINES, K, generator=draw),
-        width=torch.rand(LINES, K, generator=draw) + 0.1,
+        point_line=torch.rand(LINES, K, generator=draw),
+        scale=torch.rand(LINES, K, generator=draw) + 0.1,
         confidence=torch.rand(LINES, K, generator=draw),
         feature=torch.randn(LINES, K, len(EDGE), generator=draw),
         state=torch.randn(LINES, K, STATE, generator=draw),
-        side=torch.tensor([1.0, -1.0]).repeat(LINES)[:LINES, None],
+        side=torch.tensor([1.0, -1.0]).repeat(LINES)[:LINES, None].expand(LINES, K),
         valid=valid,
-        index=torch.arange(K).repeat(LINES, 1).masked_fill(~valid, -1),
     )
 
 
@@ -50,7 +52,7 @@ def judged(network: LineTransformer, edges: Edges) -> Judgement:
 
 def columns(edges: Edges, which: slice | torch.Tensor) -> Edges:
     """Some of the candidates."""
-    return Edges(**{name: part if name == "side" else part[:, which] for name, part in edges._asdict().items()})
+    return Edges(*(column[:, which] for column in edges))
 
 
 def rows(edges: Edges, which: slice) -> Edges:
@@ -66,8 +68,8 @@ def assert_close(one: Judgement, other: Judgement) -> None:
 def slow_heads(edges: Edges, i: int, scale: float) -> tuple[list[list[float]], list[list[float]], list[float]]:
     """Of a line and a head: attention, logarithms of density, confident density and count, and the mean shift."""
     there = [k for k in range(K) if edges.valid[i, k]]
-    t, w = edges.foot[i].tolist(), edges.width[i].tolist()
-    g, c = edges.gap[i].tolist(), edges.confidence[i].tolist()
+    t, w = edges.foot[i].tolist(), edges.scale[i].tolist()
+    g, c = edges.point_line[i].tolist(), edges.confidence[i].tolist()
     near = [[(1 + ((t[j] - t[k]) ** 2 + g[k] ** 2) / (scale * w[k]) ** 2) ** -2 for k in there] for j in there]
     attention = [[value / (sum(row) + 1e-2) for value in row] for row in near]
     logarithms, shift = [], []
@@ -98,7 +100,7 @@ def test_kernels_densities_and_shifts_are_those_of_the_formula(network: LineTran
             torch.testing.assert_close(gathered[i, there, part], expected, atol=1e-5, rtol=1e-4)
             expected = 0.3 * logarithms.clamp(-15, 15)
             torch.testing.assert_close(around[i, there, 4 * head : 4 * head + 3], expected, atol=1e-5, rtol=1e-4)
-            turned = edges.side[i] * shifted
+            turned = edges.side[i, there] * shifted
             torch.testing.assert_close(around[i, there, 4 * head + 3], turned, atol=1e-5, rtol=1e-4)
 
 
@@ -107,31 +109,15 @@ def test_heads_are_spread_geometrically() -> None:
     assert NetworkConfig(width=6, heads=1, finest=0.5, widest=2.0).scales == [0.5]
 
 
-@pytest.mark.parametrize("part", ["state", *FAMILIES])
-def test_inputs_that_a_network_does_without_change_nothing(network: LineTransformer, edges: Edges, part: str) -> None:
-    less = LineTransformer(replace(network.config, without=(part,))).eval()
-    lost = torch.tensor([name in FAMILIES.get(part, ()) for name in EDGE])
-    other = edges._replace(feature=edges.feature + 7 * lost, state=edges.state + 7 * (part == "state"))
-    assert_close(judged(less, edges), judged(less, other))
-    assert not torch.allclose(judged(network, edges).vote, judged(network, other).vote)
-
-
-@pytest.mark.parametrize("kind", VOTES)
-def test_votes_that_a_network_does_without_are_not_among_the_places(edges: Edges, kind: str) -> None:
-    answer = judged(LineTransformer(NetworkConfig(width=12, heads=3, without=(f"{kind}_vote",))).eval(), edges)
-    kept = [place for place, name in enumerate(VOTES) if name != kind]
-    assert torch.equal(answer.place, edges.vote[..., kept]) and answer.vote.shape == answer.place.shape
-
-
-def test_a_network_without_densities_does_not_see_them(network: LineTransformer, edges: Edges) -> None:
-    less = LineTransformer(replace(network.config, layers=0, without=("density",))).eval()
-    assert_close(judged(less, edges), judged(less, edges._replace(foot=edges.foot + 7, gap=edges.gap + 7)))
-
-
-@pytest.mark.parametrize("without", [("nose",), tuple(f"{kind}_vote" for kind in VOTES)])
-def test_networks_without_unknown_parts_or_any_votes_are_refused(without: tuple[str, ...]) -> None:
-    with pytest.raises(ValueError, match=r"got a network without .*; expected"):
-        NetworkConfig(without=without)
+@pytest.mark.parametrize("name", GEOMETRY)
+def test_a_network_has_the_columns_and_votes_of_its_inputs_alone(name: str) -> None:
+    names = tuple(family for family in GEOMETRY if family != name)
+    less = LineTransformer(NetworkConfig(width=12, heads=3, inputs=names))
+    whole = LineTransformer(NetworkConfig(width=12, heads=3))
+    lost = inputs_of(("position", name) if name != "position" else ("position",))[-1]
+    weights = [network.state_dict()["embed.0.weight"].shape[1] for network in (whole, less)]
+    assert weights[0] - weights[1] == len(lost.columns)
+    assert len(whole.log_spread) - len(less.log_spread) == len(lost.votes)
 
 
 def test_places_are_the_votes(network: LineTransformer, edges: Edges) -> None:
@@ -157,8 +143,8 @@ def test_what_stands_in_padding_changes_nothing(network: LineTransformer, edges:
     garbage = edges._replace(
         vote=edges.vote.masked_fill(gone[..., None], 1e6),
         foot=edges.foot.masked_fill(gone, 1e6),
-        gap=edges.gap.masked_fill(gone, 1e6),
-        width=edges.width.masked_fill(gone, 1e-6),
+        point_line=edges.point_line.masked_fill(gone, 1e6),
+        scale=edges.scale.masked_fill(gone, 1e-6),
         confidence=edges.confidence.masked_fill(gone, 7.0),
         state=edges.state.masked_fill(gone[..., None], -50.0),
     )
@@ -180,7 +166,7 @@ def test_a_flipped_direction_flips_places_alone(network: LineTransformer, edges:
 
 
 def test_the_unit_of_length_changes_places_and_their_spread_alone(network: LineTransformer, edges: Edges) -> None:
-    lengths = {name: 40 * getattr(edges, name) for name in ("vote", "foot", "gap", "width")}
+    lengths = {name: 40 * getattr(edges, name) for name in ("vote", "foot", "point_line", "scale")}
     larger = edges._replace(**lengths)
     one, other = judged(network, edges), judged(network, larger)
     there = edges.valid[..., None]
@@ -188,12 +174,12 @@ def test_the_unit_of_length_changes_places_and_their_spread_alone(network: LineT
     assert_close(one, other._replace(place=place, spread=spread))
 
 
-def test_sure_does_not_fall_with_the_radius(network: LineTransformer, edges: Edges) -> None:
+def test_logits_of_finding_do_not_fall_with_the_radius(network: LineTransformer, edges: Edges) -> None:
     for part in network.pool.parameters():
         torch.nn.init.normal_(part, std=10.0, generator=torch.Generator().manual_seed(4))
-    sure = judged(network, edges).sure
-    assert sure.shape == (LINES, len(RADII)) and sure.abs().max() > 10
-    assert (sure.diff(dim=1) >= 0).all()
+    found = judged(network, edges).found
+    assert found.shape == (LINES, len(RADII)) and found.abs().max() > 10
+    assert (found.diff(dim=1) >= 0).all()
     assert list(RADII) == sorted(RADII)
 
 
@@ -211,7 +197,7 @@ def test_candidates_without_confidence_are_judged(network: LineTransformer, edge
 def test_gradients_are_finite_and_reach_everything(network: LineTransformer, edges: Edges) -> None:
     answer = network.train()(edges)
     there = edges.valid
-    parts = (answer.affinity[there], answer.spread[there], answer.vote[there], answer.sure, answer.state)
+    parts = (answer.affinity[there], answer.spread[there], answer.vote[there], answer.found, answer.state)
     torch.stack([part.sum() for part in parts]).sum().backward()
     for name, part in network.named_parameters():
         assert part.grad is not None and part.grad.isfinite().all(), name
@@ -227,3 +213,9 @@ def test_heads_divide_the_width(sizes: dict[str, int]) -> None:
 def test_layers_and_widths_are_checked(sizes: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="expected at least 0 layers, and widths that rise from above 0"):
         NetworkConfig(**sizes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("radii", [(1.0,), (0.5, 2.0), (1.0, 0.5), (0.0, 1.0)])
+def test_radii_rise_and_have_1_among_them(radii: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="expected at least two that rise from above 0, 1 among them"):
+        NetworkConfig(radii=radii)

@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 
 from l2p.attacks.peak import PeakConfig, find_peak, settled
 
-RULES = ("single", "several")
-both_rules = pytest.mark.parametrize("rule", RULES)
 few = settings(max_examples=60, deadline=None)
 
 # Whole numbers: ties are common, and shifts by whole numbers and scales by powers of two are exact.
@@ -25,35 +23,33 @@ configs = st.builds(
     threshold=st.sampled_from([0.0, 0.2, 0.3, 0.4, 0.7, 2.0]),
     minimum=st.integers(1, 6),
     trim=st.integers(0, 5),
-    rule=st.sampled_from(RULES),
 )
 
 
-def one_line(votes: object, weight: object = None, config: PeakConfig | None = None) -> tuple[float, float, float]:
-    """Place, statistic and width of the peak of one line's votes."""
+def one_line(votes: object, weight: object = None, config: PeakConfig | None = None) -> float:
+    """Place of the peak of one line's votes."""
     beta = torch.as_tensor(np.asarray(votes, dtype=np.float64)[None])
     weights = None if weight is None else torch.as_tensor(np.asarray(weight, dtype=np.float64)[None])
-    place, statistic, width = (part.item() for part in find_peak(beta, weights, config))
-    return place, statistic, width
+    return find_peak(beta, weights, config).item()
 
 
-def loop_twin(beta: np.ndarray, weight: np.ndarray, config: PeakConfig) -> tuple[float, float]:
-    """Place and width of the peak of one line, one vote at a time."""
+def loop_twin(beta: np.ndarray, weight: np.ndarray, config: PeakConfig) -> float:
+    """Place of the peak of one line, one vote at a time."""
     votes = sorted((b, w) for b, w in zip(beta.tolist(), weight.tolist(), strict=True) if math.isfinite(b) and w > 0)
     trim = min(config.trim, max(0, (len(votes) - config.minimum) // 2))
     votes = votes[trim : len(votes) - trim]
     if not votes:
-        return math.nan, math.nan
+        return math.nan
     while len(votes) > config.minimum:
-        low, high, value = loop_interval(votes, config.rule)
+        low, high, value = loop_interval(votes)
         whole = len(votes)
         votes = votes[low : high + 1]
         if value < config.threshold or len(votes) == whole:
             break
-    return weighted_median(votes), votes[-1][0] - votes[0][0]
+    return weighted_median(votes)
 
 
-def loop_interval(votes: list[tuple[float, float]], rule: str) -> tuple[int, int, float]:
+def loop_interval(votes: list[tuple[float, float]]) -> tuple[int, int, float]:
     start, span = votes[0][0], votes[-1][0] - votes[0][0]
     if span == 0:
         return 0, len(votes) - 1, 0.0
@@ -65,7 +61,7 @@ def loop_interval(votes: list[tuple[float, float]], rule: str) -> tuple[int, int
         after.append(seen / total - (b - start) / span)
     pieces, begin = [], 0
     for j in range(1, len(votes)):
-        if rule == "several" and after[j - 1] > 0 and before[j] <= 0:
+        if after[j - 1] > 0 and before[j] <= 0:
             pieces.append(range(begin, j))
             begin = j
     pieces.append(range(begin, len(votes)))
@@ -91,12 +87,11 @@ def weighted_median(votes: list[tuple[float, float]]) -> float:
     raise AssertionError("the weights sum to more than their half")
 
 
-@both_rules
 @pytest.mark.parametrize("threshold", [0.0, 0.25, 0.4, 2.0])
 @pytest.mark.parametrize(("minimum", "trim"), [(1, 0), (5, 5), (3, 1)])
-def test_the_batch_agrees_with_the_loop_twin(rule, threshold, minimum, trim):
+def test_the_batch_agrees_with_the_loop_twin(threshold, minimum, trim):
     rng = np.random.default_rng(0)
-    config = PeakConfig(threshold, minimum, trim, rule)
+    config = PeakConfig(threshold, minimum, trim)
     lines = 60
     beta = rng.standard_cauchy(size=(lines, 31))
     beta[: lines // 2, :12] = 3 + 0.1 * rng.normal(size=(lines // 2, 12))
@@ -105,20 +100,17 @@ def test_the_batch_agrees_with_the_loop_twin(rule, threshold, minimum, trim):
     weight = rng.choice([0.0, 0.5, 1, 2], size=beta.shape)
     found = find_peak(torch.tensor(beta), torch.tensor(weight), config)
     expected = np.array([loop_twin(b, w, config) for b, w in zip(beta, weight, strict=True)])
-    np.testing.assert_allclose(found.beta, expected[:, 0], rtol=1e-12)
-    np.testing.assert_allclose(found.width, expected[:, 1], rtol=1e-12)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 @given(votes_strategy, configs)
 @few
 def test_the_peak_lies_among_the_votes(votes, config):
-    beta, statistic, width = one_line(votes, config=config)
-    assert 0 <= statistic <= 1
+    beta = one_line(votes, config=config)
     if not votes:
-        assert math.isnan(beta) and math.isnan(width) and statistic == 0
+        assert math.isnan(beta)
         return
     assert min(votes) <= beta <= max(votes)
-    assert 0 <= width <= max(votes) - min(votes)
     # A vote, or the middle of two.
     assert (2 * beta) % 1 == 0
 
@@ -127,9 +119,9 @@ def test_the_peak_lies_among_the_votes(votes, config):
 @few
 def test_the_peak_moves_and_scales_with_the_votes(votes, config, shift, power):
     scale = 2.0**power
-    beta, statistic, width = one_line(votes, config=config)
+    beta = one_line(votes, config=config)
     moved = one_line([scale * (vote + shift) for vote in votes], config=config)
-    np.testing.assert_array_equal(moved, (scale * (beta + shift), statistic, scale * width))
+    np.testing.assert_array_equal(moved, scale * (beta + shift))
 
 
 @given(votes_strategy, configs, st.integers(-20, 20), st.integers(0, 2**32 - 1))
@@ -160,15 +152,15 @@ def test_a_vote_of_weight_zero_or_not_finite_is_absent(votes, config, seed):
     np.testing.assert_array_equal(one_line(more, np.array([*weight, 0, 1, 1, 1])[order], config), expected)
 
 
-@given(votes_strategy, st.data(), st.sampled_from(RULES), st.sampled_from([0.0, 0.3, 0.5]))
+@given(votes_strategy, st.data(), st.sampled_from([0.0, 0.3, 0.5]))
 @few
-def test_a_vote_twice_is_a_vote_of_weight_two(votes, data, rule, threshold):
+def test_a_vote_twice_is_a_vote_of_weight_two(votes, data, threshold):
     # Trimming and the least number of votes count votes, not weights.
-    config = PeakConfig(threshold, minimum=1, trim=0, rule=rule)
+    config = PeakConfig(threshold, minimum=1, trim=0)
     twice = data.draw(st.lists(st.booleans(), min_size=len(votes), max_size=len(votes)))
     doubled = [vote for vote, double in zip(votes, twice, strict=True) for _ in range(1 + double)]
     one, other = one_line(votes, 1 + np.array(twice, dtype=float), config), one_line(doubled, config=config)
-    np.testing.assert_array_equal((one[0], one[2]), (other[0], other[2]))
+    np.testing.assert_array_equal(one, other)
 
 
 @given(st.lists(votes_strategy, min_size=1, max_size=5), configs)
@@ -177,56 +169,51 @@ def test_lines_do_not_see_each_other(lines, config):
     table = np.full((len(lines), max(map(len, lines))), np.nan)
     for row, votes in zip(table, lines, strict=True):
         row[: len(votes)] = votes
-    together = np.stack([part.numpy() for part in find_peak(torch.tensor(table), config=config)], axis=1)
+    together = find_peak(torch.tensor(table), config=config).numpy()
     np.testing.assert_array_equal(together, [one_line(votes, config=config) for votes in lines])
 
 
-@both_rules
-def test_degenerate_votes_have_a_defined_peak(rule):
-    config = PeakConfig(rule=rule)
+def test_degenerate_votes_have_a_defined_peak():
     nan = math.nan
     cases = [
-        ([], (nan, 0, nan)),
-        ([nan, math.inf, -math.inf], (nan, 0, nan)),
-        ([4.0], (4, 0, 0)),
-        ([4.0, math.inf], (4, 0, 0)),
-        ([1.0, 4.0], (2.5, 0, 3)),
-        ([4.0] * 3, (4, 0, 0)),
-        ([4.0] * 50, (4, 0, 0)),
+        ([], nan),
+        ([nan, math.inf, -math.inf], nan),
+        ([4.0], 4),
+        ([4.0, math.inf], 4),
+        ([1.0, 4.0], 2.5),
+        ([4.0] * 3, 4),
+        ([4.0] * 50, 4),
     ]
     for votes, expected in cases:
-        np.testing.assert_array_equal(one_line(votes, config=config), expected)
+        np.testing.assert_array_equal(one_line(votes), expected)
 
 
-@both_rules
-def test_two_weighted_votes_are_placed_at_the_heavier(rule):
-    assert one_line([1, 4], [1, 3], PeakConfig(rule=rule))[0] == 4
-    assert one_line([1, 4], [2, 2], PeakConfig(rule=rule))[0] == 2.5
+def test_two_weighted_votes_are_placed_at_the_heavier():
+    assert one_line([1, 4], [1, 3]) == 4
+    assert one_line([1, 4], [2, 2]) == 2.5
 
 
 @pytest.mark.parametrize("shape", [(0, 5), (3, 0), (0, 0)])
 def test_no_lines_or_no_votes_are_no_error(shape):
     found = find_peak(torch.zeros(shape))
-    assert found.beta.shape == found.statistic.shape == found.width.shape == shape[:1]
-    assert found.beta.isnan().all() and (found.statistic == 0).all()
+    assert found.shape == shape[:1] and found.isnan().all()
 
 
-@both_rules
 @pytest.mark.parametrize("seed", range(5))
-def test_a_cluster_amid_scattered_votes_is_found(rule, seed):
+def test_a_cluster_amid_scattered_votes_is_found(seed):
     rng = np.random.default_rng(seed)
     votes = np.concatenate([5 + 0.2 * rng.normal(size=60), rng.uniform(-20, 20, 20)])
-    assert one_line(votes, config=PeakConfig(rule=rule))[0] == pytest.approx(5, abs=0.3)
+    assert one_line(votes) == pytest.approx(5, abs=0.3)
 
 
-# The rule of the main text may keep both clusters in one interval; the appendix is about this case.
+# The rule of the paper's main text may keep both clusters in one interval; its appendix is about this case.
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize(("sizes", "place"), [((40, 20), -5), ((20, 40), 5)])
 def test_of_two_clusters_the_larger_is_found(seed, sizes, place):
     rng = np.random.default_rng(seed)
     clusters = [centre + 0.2 * rng.normal(size=size) for centre, size in zip((-5, 5), sizes, strict=True)]
     votes = np.concatenate([*clusters, rng.uniform(-20, 20, 20)])
-    assert one_line(votes, config=PeakConfig(rule="several"))[0] == pytest.approx(place, abs=0.3)
+    assert one_line(votes) == pytest.approx(place, abs=0.3)
 
 
 @pytest.mark.parametrize(("heavy", "place"), [(slice(0, 30), -5), (slice(30, 60), 5)])
@@ -235,29 +222,12 @@ def test_weights_choose_between_two_equal_clusters(heavy, place):
     votes = np.concatenate([rng.normal(-5, 0.2, 30), rng.normal(5, 0.2, 30)])
     weight = np.full(60, 0.3)
     weight[heavy] = 1
-    assert one_line(votes, weight, PeakConfig(rule="several"))[0] == pytest.approx(place, abs=0.3)
+    assert one_line(votes, weight) == pytest.approx(place, abs=0.3)
 
 
-def test_the_statistic_of_one_step_is_kuipers():
-    rng = np.random.default_rng(0)
-    votes = np.sort(rng.normal(size=41))
-    uniform = (votes - votes[0]) / (votes[-1] - votes[0])
-    below = (np.arange(41) / 41 - uniform).min()
-    above = (np.arange(1, 42) / 41 - uniform).max()
-    config = PeakConfig(threshold=2, minimum=1, trim=0, rule="single")
-    assert one_line(votes, config=config)[1] == pytest.approx(above - below, abs=1e-12)
-
-
-@both_rules
-def test_a_touch_of_both_distributions_before_the_least_does_not_lose_the_peak(rule):
+def test_a_touch_of_both_distributions_before_the_least_does_not_lose_the_peak():
     # F meets U at the second vote and at the last one, with the least of F - U between them.
-    beta, _, width = one_line([0, 5, 8, 10], config=PeakConfig(minimum=2, trim=0, rule=rule))
-    assert (beta, width) == (9, 2) if rule == "several" else math.isfinite(beta)
-
-
-def test_an_unknown_rule_is_refused():
-    with pytest.raises(ValueError, match="got peak rule 'best'; expected 'single' or 'several'"):
-        PeakConfig(rule="best")
+    assert one_line([0, 5, 8, 10], config=PeakConfig(minimum=2, trim=0)) == 9
 
 
 def votes_around(seed: int, lines: int = 20, k: int = 12) -> tuple[torch.Tensor, ...]:

@@ -12,6 +12,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from l2p.attacks.attack import Elements, locate
 from l2p.attacks.heuristic import Heuristic
 from l2p.attacks.learned.checkpoint import shipped
 from l2p.attacks.run import recover, usable_device
@@ -21,6 +22,7 @@ from l2p.judging.accuracy import errors, spacing
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.schemes.uniform import lift_indexed
+from l2p.work.work import ALONE
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +44,9 @@ def in_double(lines: LineCloud) -> np.ndarray:
     """The attack's points with double precision inside, too."""
     frame = Frame.of(lines)
     with torch.inference_mode():
-        estimate = Heuristic().locate(frame.enter(lines, dtype=torch.float64), frame)
-    return lines.at(frame.leave(lines, estimate.beta))
+        elements = Elements.sorted(frame.enter(lines, dtype=torch.float64), frame, {})
+        beta = locate(Heuristic(), elements, ALONE).beta[elements.row.argsort()]
+    return lines.at(frame.leave(lines, beta))
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 import l2p
+from l2p.attacks.attack import Elements, locate
 from l2p.attacks.tomographic import TomographicConfig, Tomography
 from l2p.attacks.tomography import octree
 from l2p.attacks.tomography import reconstruct as tomography
@@ -19,6 +20,7 @@ from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import nearest_points_to_points
 from l2p.maps.lines import LineCloud
 from l2p.schemes.uniform import lift_indexed
+from l2p.work.work import ALONE
 
 #: Expectation maximisation alone, without a prior.
 PLAIN = TomographyConfig(start=8, levels=1, iterations=3, smoothing=0.0, shrinkage=0.0)
@@ -169,7 +171,8 @@ def test_parallel_and_repeated_lines_give_finite_points(rng):
 
 def test_rounds_of_zero_leave_the_modes(lines, scene_points):
     method = Tomography(TomographicConfig(rounds=0))
-    estimate = method.locate(lines, Frame.of(l2p.lift(scene_points, seed=0)))
+    elements = Elements(lines, torch.arange(len(lines.direction)), Frame.of(l2p.lift(scene_points, seed=0)))
+    estimate = locate(method, elements, ALONE)
     torch.testing.assert_close(estimate.beta, modes(reconstruct(lines))[0])
 
 

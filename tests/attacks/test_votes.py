@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
 
 from l2p.attacks import votes as neighborhoods
-from l2p.attacks.attack import Estimate, Method
+from l2p.attacks.attack import Attack, Elements, Estimate, locate
 from l2p.attacks.heuristic import Heuristic, HeuristicConfig
 from l2p.attacks.peak import PeakConfig, find_peak
 from l2p.attacks.run import run
@@ -20,7 +18,7 @@ from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import nearest_lines_to_lines
 from l2p.geometry.pairs import closest_points
 from l2p.schemes.uniform import lift_indexed
-from l2p.work.progress import NO_PROGRESS, Progress
+from l2p.work.work import ALONE, Work
 
 
 def crossing(truth: np.ndarray, seed: int = 0) -> tuple[Lines, torch.Tensor]:
@@ -29,6 +27,11 @@ def crossing(truth: np.ndarray, seed: int = 0) -> tuple[Lines, torch.Tensor]:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     beta = torch.tensor(np.sum(truth * direction, axis=1))
     return Lines(torch.tensor(direction), torch.tensor(np.cross(truth, direction))), beta
+
+
+def in_order(lines: Lines, frame: Frame) -> Elements:
+    """Lines in the order they have."""
+    return Elements(lines, torch.arange(len(lines.direction)), frame)
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +56,9 @@ def test_a_vote_is_the_peak_of_the_closest_points(clusters):
     lines, _, _ = clusters
     neighbors = nearest_lines_to_lines(lines, 20).index
     affinity = torch.rand(60, 20, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    config = PeakConfig(threshold=0.4, rule="single")
+    config = PeakConfig(threshold=0.4)
     votes = closest_points(lines, lines, neighbors)
-    expected = find_peak(votes.beta, affinity * votes.valid, config).beta
+    expected = find_peak(votes.beta, affinity * votes.valid, config)
     torch.testing.assert_close(vote(lines, neighbors, affinity, config).beta, expected)
 
 
@@ -100,7 +103,7 @@ def test_confidence_is_a_share_and_ranks_the_lines(scene_points):
     lines, index = lift_indexed(scene_points, seed=3)
     frame = Frame.of(lines)
     inside = frame.enter(lines)
-    estimate = Heuristic().locate(inside, frame)
+    estimate = locate(Heuristic(), in_order(inside, frame), ALONE)
     assert estimate.confidence.min() >= 0 and estimate.confidence.max() <= 1
     truth = frame.enter_points(scene_points[index])
     error = (inside.at(estimate.beta) - truth).norm(dim=1)
@@ -150,10 +153,10 @@ def test_settings_that_make_no_sense_are_refused(setting, message):
         HeuristicConfig(**setting)
 
 
-def locate(heuristic: Heuristic, points: np.ndarray, seed: int = 3) -> tuple[Estimate, torch.Tensor]:
+def located(heuristic: Heuristic, points: np.ndarray, seed: int = 3) -> tuple[Estimate, torch.Tensor]:
     lines, index = lift_indexed(points, seed=seed)
     frame = Frame.of(lines)
-    estimate = heuristic.locate(frame.enter(lines), frame)
+    estimate = locate(heuristic, in_order(frame.enter(lines), frame), ALONE)
     error = (frame.enter(lines).at(estimate.beta) - frame.enter_points(points[index])).norm(dim=1)
     return estimate, error
 
@@ -161,23 +164,23 @@ def locate(heuristic: Heuristic, points: np.ndarray, seed: int = 3) -> tuple[Est
 def test_without_rounds_the_nearest_lines_vote(scene_points):
     lines, _ = lift_indexed(scene_points, seed=3)
     inside = Frame.of(lines).enter(lines)
-    estimate, _ = locate(Heuristic(HeuristicConfig(rounds=0)), scene_points)
+    estimate, _ = located(Heuristic(HeuristicConfig(rounds=0)), scene_points)
     expected = vote(inside, nearest_lines_to_lines(inside, 250).index)
     torch.testing.assert_close(estimate.beta, expected.beta)
 
 
 def test_rounds_help(scene_points):
     coarse, fine = (
-        np.mean([locate(Heuristic(config), scene_points, seed)[1].median() for seed in range(5)])
+        np.mean([located(Heuristic(config), scene_points, seed)[1].median() for seed in range(5)])
         for config in (HeuristicConfig(rounds=0), HeuristicConfig())
     )
     assert fine < 0.95 * coarse
 
 
 def test_neighbours_are_near_both_ways_or_all_near_the_line(scene_points):
-    always, _ = locate(Heuristic(HeuristicConfig(rounds=1, intersection=0)), scene_points)
-    never, _ = locate(Heuristic(HeuristicConfig(rounds=1, intersection=10**6)), scene_points)
-    usual, _ = locate(Heuristic(HeuristicConfig(rounds=1)), scene_points)
+    always, _ = located(Heuristic(HeuristicConfig(rounds=1, intersection=0)), scene_points)
+    never, _ = located(Heuristic(HeuristicConfig(rounds=1, intersection=10**6)), scene_points)
+    usual, _ = located(Heuristic(HeuristicConfig(rounds=1)), scene_points)
     assert (never.neighbors >= 0).all()
     kept, some = (always.neighbors >= 0).sum(dim=1), (usual.neighbors >= 0).sum(dim=1)
     assert (kept > 0).all() and (kept < 100).any()
@@ -197,18 +200,15 @@ def test_member_is_the_loop_over_sets():
     assert member(values[:, :0], sets).shape == (40, 0)
 
 
-def test_a_method_of_ones_own_needs_two_calls_only(scene_points):
-    class Feet:
-        def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
-            return vote(lines, torch.zeros(len(lines.direction), 0, dtype=torch.int64))
+def test_an_attack_of_ones_own_needs_one_function_only(scene_points):
+    class Feet(Attack):
+        def finish(self, state: Elements, work: Work) -> Estimate:
+            own = len(range(len(state))[work.own(len(state))])
+            return vote(state.lines, torch.zeros(own, 0, dtype=torch.int64), work=work)
 
-        def settings(self) -> dict[str, Any]:
-            return {}
-
-    method: Method = Feet()
     lines, _ = lift_indexed(scene_points, seed=0)
-    result = run(lines, method)
+    result = run(lines, Feet())
     distance = np.linalg.norm(result.xyz - Frame.of(lines).center, axis=1)
     nearest = np.linalg.norm(np.cross(Frame.of(lines).center, lines.direction) - lines.moment, axis=1)
     np.testing.assert_allclose(distance, nearest, atol=1e-6)
-    assert result.info["method"] == "Feet"
+    assert result.info["method"] == "Feet" and result.info["settings"] == {}

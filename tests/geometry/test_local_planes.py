@@ -7,7 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from l2p.geometry.local_planes import _DOUBT, _LEAST, _REFITS, _ROUGHNESS, crossing, fitted, least_axis
+from l2p.geometry.local_planes import SurfaceConfig, crossing, fitted, least_axis
+
+CONFIG = SurfaceConfig()
 
 
 def around(count: int, draw: torch.Generator, noise: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
@@ -26,24 +28,25 @@ def draw() -> torch.Generator:
 
 def slow_fit(points: np.ndarray, direction: np.ndarray, confidence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centre and normal, an estimate at a time."""
-    first = [c + _LEAST for c in confidence]
+    first = [c + CONFIG.least for c in confidence]
     weight, step = list(first), 0
     while True:
         centre = np.sum([w * p for w, p in zip(weight, points, strict=True)], axis=0) / sum(weight)
         spread = [w * np.outer(p - centre, p - centre) for w, p in zip(weight, points, strict=True)]
         value, vector = np.linalg.eigh(np.sum(spread, axis=0) / sum(weight))
-        if step == _REFITS:
+        if step == CONFIG.refits:
             return centre, vector[:, 0]
         for j, (p, d) in enumerate(zip(points, direction, strict=True)):
             steep = (vector[:, 0] @ d) ** 2
             off = (vector[:, 0] @ (p - centre)) ** 2
-            weight[j] = first[j] * _ROUGHNESS / (_ROUGHNESS + steep) / (1 + off / (_DOUBT * value[0]))
+            weight[j] = first[j] * CONFIG.roughness / (CONFIG.roughness + steep) / (1 + off / (CONFIG.doubt * value[0]))
         step += 1
 
 
 def test_it_is_its_slow_twin(draw: torch.Generator) -> None:
     some = [around(20, draw, 0.1) for _ in range(5)]
-    surface = fitted(*(torch.stack(parts) for parts in zip(*some, strict=True)))
+    points, direction, confidence = (torch.stack(parts) for parts in zip(*some, strict=True))
+    surface = fitted(points, direction, confidence, CONFIG)
     for i, parts in enumerate(some):
         centre, normal = slow_fit(*(part.numpy() for part in parts))
         np.testing.assert_allclose(surface.centre[i], centre, atol=1e-9)
@@ -52,7 +55,7 @@ def test_it_is_its_slow_twin(draw: torch.Generator) -> None:
 
 def test_points_in_a_plane_give_the_plane(draw: torch.Generator) -> None:
     points, direction, confidence = around(30, draw)
-    surface = fitted(points[None], direction[None], confidence[None])
+    surface = fitted(points[None], direction[None], confidence[None], CONFIG)
     torch.testing.assert_close(surface.normal[0].abs(), torch.tensor([0.0, 0, 1]).double(), atol=1e-9, rtol=0)
     assert abs(float(surface.centre[0, 2])) < 1e-12
     assert 0 < float(surface.planarity[0]) <= 1 and 0 <= float(surface.linearity[0]) < 1
@@ -72,7 +75,7 @@ def test_errors_along_the_lines_and_lost_estimates_move_it_less_than_the_plain_f
     some = [around(17, draw, 0.15) for _ in range(400)]
     points, direction, confidence = (torch.stack(parts) for parts in zip(*some, strict=True))
     points[:, :lost, 2] += torch.rand(400, lost, generator=draw).double()
-    surface = fitted(points, direction, torch.ones_like(confidence))
+    surface = fitted(points, direction, torch.ones_like(confidence), CONFIG)
     off, slope = plain(points)
     assert (surface.centre * surface.normal).sum(dim=1).abs().median() < 0.7 * off.median()
     assert surface.normal[:, :2].norm(dim=1).median() < 0.9 * slope.median()
@@ -82,7 +85,7 @@ def test_what_nobody_is_sure_of_counts_for_little(draw: torch.Generator) -> None
     points, direction, _ = around(30, draw)
     points[:10, 2] += 0.3
     sure = torch.cat([torch.zeros(10), torch.ones(20)]).double()
-    trusted, alike = (fitted(points[None], direction[None], c[None]) for c in (sure, torch.ones(30).double()))
+    trusted, alike = (fitted(points[None], direction[None], c[None], CONFIG) for c in (sure, torch.ones(30).double()))
     assert trusted.centre[0, 2].abs() < alike.centre[0, 2].abs()
 
 
@@ -90,16 +93,16 @@ def test_what_nobody_is_sure_of_counts_for_little(draw: torch.Generator) -> None
 def test_few_estimates_have_some_surface(count: int, draw: torch.Generator) -> None:
     points, direction, confidence = around(count, draw)
     for places in (points, points[:1].expand(count, 3)):
-        surface = fitted(places[None], direction[None], confidence[None])
+        surface = fitted(places[None], direction[None], confidence[None], CONFIG)
         assert all(part.isfinite().all() for part in surface)
 
 
 def test_lines_cut_surfaces_where_they_meet_and_grazing_ones_at_the_least_slope(draw: torch.Generator) -> None:
     points, direction, confidence = around(30, draw, 0.1)
-    surface = fitted(points[None], direction[None], confidence[None])
+    surface = fitted(points[None], direction[None], confidence[None], CONFIG)
     way, foot = direction[None, :5], points[None, 5:10]
     planes = surface.at(torch.zeros(1, 5, dtype=torch.int64))
-    met = crossing(planes, way, foot, points[None, 10:15])
+    met = crossing(planes, way, foot, points[None, 10:15], points[None, 15:20], 0.05)
     at = foot + met.cut[..., None] * way
     steep = (planes.normal * way).sum(-1).abs() > 0.06
     assert ((at - planes.centre) * planes.normal).sum(-1).abs()[steep].max() < 1e-9

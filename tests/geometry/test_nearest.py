@@ -19,6 +19,7 @@ from l2p.geometry.nearest import (
 )
 from l2p.geometry.pairs import PARALLEL
 from l2p.maps.lines import LineCloud
+from l2p.work.work import Work
 
 Pair = Callable[[Lines, torch.Tensor, int, int], float]
 
@@ -147,7 +148,7 @@ def test_many_lines_agree_with_the_full_table(name, monkeypatch):
 
 def test_progress_counts_every_line_once(counter):
     lines, _ = draw(23)
-    nearest_lines_to_lines(lines, 3, tile=100, progress=counter)
+    nearest_lines_to_lines(lines, 3, tile=100, work=Work(progress=counter))
     assert counter.done == counter.total == 23
 
 

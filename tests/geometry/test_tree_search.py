@@ -13,7 +13,7 @@ from l2p.geometry.nearest import nearest_points_to_lines
 from l2p.geometry.pairs import point_line_distance
 from l2p.geometry.tree import plant, reach
 from l2p.geometry.tree_search import nearest_points
-from l2p.work.progress import NO_PROGRESS
+from l2p.work.work import ALONE, Work
 
 
 def draw(kind: str, count: int = 300) -> tuple[Lines, torch.Tensor, torch.Tensor]:
@@ -82,7 +82,7 @@ def check(index: torch.Tensor, distances: torch.Tensor, k: int) -> None:
 
 
 def run(lines: Lines, points: torch.Tensor, scale: torch.Tensor, k: int) -> torch.Tensor:
-    return nearest_points(plant(points, scale), lines, k, NO_PROGRESS, "points")
+    return nearest_points(plant(points, scale), lines, k, ALONE, "points")
 
 
 @pytest.fixture
@@ -215,7 +215,7 @@ def test_progress_counts_every_line_once(deep, counter, monkeypatch):
     monkeypatch.setattr(point_search, "_DEVIATIONS", 0.0)
     monkeypatch.setattr(search, "MANY", 1)
     lines, points, scale = draw("random")
-    nearest_points_to_lines(lines, points, 10, scale=scale, progress=counter)
+    nearest_points_to_lines(lines, points, 10, scale=scale, work=Work(progress=counter))
     assert counter.done == counter.total == 300
 
 

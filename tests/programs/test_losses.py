@@ -10,16 +10,19 @@ import torch
 
 pytest.importorskip("hydra", reason="the training program needs the extra train: pip install 'l2p[train]'")
 
-from l2p.attacks.learned.features import EDGE, STATE, VOTES, Edges
 
-from l2p.attacks.learned.learned import LearnedConfig, find_candidates
-from l2p.attacks.learned.network import RADII, Judgement, LineTransformer, NetworkConfig
+from l2p.attacks.learned.edges import Edges, feature_names, vote_names
+from l2p.attacks.learned.inputs import GEOMETRY, inputs_of
+from l2p.attacks.learned.learned import Learned, LearnedConfig
+from l2p.attacks.learned.network import Judgement, LineTransformer, NetworkConfig
 from l2p.attacks.peak import PeakConfig
 from train.clouds import CloudSource, lifted
 from train.judging import Judged, calibrate, figures
 from train.losses import BACKGROUND, Sample, affinity_loss, losses, position_loss, soft_labels
 
-KINDS = len(VOTES)
+INPUTS = inputs_of(GEOMETRY)
+EDGE, KINDS = feature_names(INPUTS), len(vote_names(INPUTS))
+STATE, RADII, ONE = NetworkConfig.state, NetworkConfig.radii, NetworkConfig().one
 
 
 def one_line(
@@ -30,14 +33,13 @@ def one_line(
     edges = Edges(
         vote=torch.tensor(places)[None, :, None].repeat(1, 1, KINDS),
         foot=torch.tensor(places)[None],
-        gap=torch.zeros(1, k),
-        width=torch.full((1, k), width),
+        point_line=torch.zeros(1, k),
+        scale=torch.full((1, k), width),
         confidence=torch.ones(1, k),
         feature=torch.zeros(1, k, len(EDGE)),
         state=torch.zeros(1, k, STATE),
-        side=torch.ones(1, 1),
+        side=torch.ones(1, k),
         valid=torch.ones(1, k, dtype=torch.bool),
-        index=torch.arange(k)[None],
     )
     judgement = Judgement(
         affinity=torch.zeros(1, k),
@@ -45,7 +47,7 @@ def one_line(
         spread=torch.full((1, k, KINDS), width),
         vote=torch.tensor(logits)[None, :, None].repeat(1, 1, KINDS),
         state=torch.zeros(1, STATE),
-        sure=torch.zeros(1, len(RADII)),
+        found=torch.zeros(1, len(RADII)),
     )
     return Sample(edges, torch.full((1, k), 0.5), torch.tensor([true_beta]), torch.tensor([0.5])), judgement
 
@@ -92,12 +94,12 @@ def test_soft_labels_fall_at_the_local_radius() -> None:
 def test_a_line_is_found_within_the_radii_that_its_error_is_below() -> None:
     """Votes at 0.5, the truth at 0.3, in a cloud of spacing 0.5: an error of 0.4 spacings."""
     sample, judgement = one_line([0.5, 0.5], [0.0, 0.0], true_beta=0.3)
-    judgement = judgement._replace(sure=torch.tensor([[-2.0, -1.0, 0.0, 1.0, 3.0]]))
-    found = losses(sample, judgement, torch.zeros(1), LearnedConfig(peak=PeakConfig(trim=0)))
+    judgement = judgement._replace(found=torch.tensor([[-2.0, -1.0, 0.0, 1.0, 3.0]]))
+    found = losses(sample, judgement, torch.zeros(1), LearnedConfig(peak=PeakConfig(trim=0)), RADII)
     assert found.moved.item() == pytest.approx(0.5) and found.error.item() == pytest.approx(0.4)
     inside = [radius >= 0.4 for radius in RADII]
     terms = [math.log1p(math.exp(-s if yes else s)) for s, yes in zip((-2, -1, 0, 1, 3), inside, strict=True)]
-    assert found.sure.item() == pytest.approx(sum(terms) / len(RADII), rel=1e-5)
+    assert found.found.item() == pytest.approx(sum(terms) / len(RADII), rel=1e-5)
     # The probe says log 1; a distance below 1 counts by half its square, and all of it a tenth.
     assert found.probe.item() == pytest.approx(0.1 * math.log(0.4) ** 2 / 2, rel=1e-4)
     assert found.total.item() == pytest.approx(sum(map(float, found[:4])), rel=1e-6)
@@ -105,13 +107,13 @@ def test_a_line_is_found_within_the_radii_that_its_error_is_below() -> None:
 
 def test_gradients_reach_every_weight() -> None:
     """Several processes could not average them otherwise."""
-    cloud = lifted(CloudSource("sim:room:150:0", 1.0, 0))
-    nodes = cloud.first_nodes
-    candidates = find_candidates(cloud.lines, nodes, LearnedConfig(candidates=12))
     network, probe = LineTransformer(NetworkConfig(width=8, layers=2, heads=2)), torch.nn.Linear(STATE, 1)
-    sample = cloud.sample(nodes, candidates, torch.arange(40))
+    attack = Learned(network, LearnedConfig(candidates=12))
+    cloud = lifted(CloudSource("sim:room:150:0", 1.0, 0), attack)
+    nodes = cloud.first_nodes
+    sample = cloud.sample(attack, nodes, attack.candidates(cloud.elements.lines, nodes), torch.arange(40))
     judgement = network(sample.edges)
-    found = losses(sample, judgement, probe(judgement.state).squeeze(1), LearnedConfig())
+    found = losses(sample, judgement, probe(judgement.state).squeeze(1), LearnedConfig(), RADII)
     found.total.backward()
     for name, part in [*network.named_parameters(), *probe.named_parameters()]:
         assert part.grad is not None and part.grad.isfinite().all() and part.grad.abs().max() > 0, name
@@ -134,20 +136,20 @@ def test_calibration_finds_the_probability() -> None:
     for place, (a, b) in enumerate(known):
         inside = torch.rand(len(logit), generator=draw) < torch.sigmoid(a * logit[:, place] + b)
         error = torch.where(inside, 0.5, 1.5) * RADII[place]
-        assert calibrate([Judged(error, logit)])[place] == pytest.approx((a, b), abs=0.1)
+        assert calibrate([Judged(error, logit)], RADII)[place] == pytest.approx((a, b), abs=0.1)
 
 
 def test_every_cloud_counts_the_same_in_the_calibration() -> None:
     """Ten found lines weigh as much as a thousand that are not."""
     few, many = judged(torch.zeros(10), torch.ones(10).bool()), judged(torch.zeros(1000), torch.zeros(1000).bool())
-    for _, offset in calibrate([few, many]):
+    for _, offset in calibrate([few, many], RADII):
         assert offset == pytest.approx(0, abs=1e-3)
 
 
 @pytest.mark.parametrize("inside", [False, True])
 def test_calibration_is_finite_where_all_lines_or_none_are_found(inside: bool) -> None:
     logit = torch.randn(100, generator=torch.Generator().manual_seed(0))
-    for slope, offset in calibrate([judged(logit, torch.full((100,), inside))]):
+    for slope, offset in calibrate([judged(logit, torch.full((100,), inside))], RADII):
         assert slope > 0 and np.isfinite([slope, offset]).all() and (offset > 0) == inside
 
 
@@ -156,7 +158,7 @@ def test_figures_are_those_of_the_calibrated_last_round() -> None:
         Judged(torch.tensor([4.0, 0.2, 3.0, 0.1]), torch.zeros(4, len(RADII))),
         Judged(torch.tensor([0.2, 0.4, 3.0, 9.0]), torch.tensor([2.0, -1.0, 1.0, -1.0])[:, None].repeat(1, len(RADII))),
     ]
-    found = figures(CloudSource("sim:room:150:0", 0.5, 0), rounds, [(2.0, 1.0)] * len(RADII))
+    found = figures(CloudSource("sim:room:150:0", 0.5, 0), rounds, [(2.0, 1.0)] * len(RADII), ONE)
     assert found["lines"] == 4 and found["fraction"] == 0.5
     assert found["median"] == [0.2, 0.4] and found["within"] == [0.5, 0.5]
     assert found["confident_half"] == 0.5, "of the first and the third line"

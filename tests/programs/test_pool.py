@@ -15,10 +15,9 @@ import torch
 
 pytest.importorskip("hydra", reason="the training program needs the extra train: pip install 'l2p[train]'")
 
-from l2p.attacks.learned.features import Edges, surroundings
 
 import l2p
-from l2p.attacks.learned.learned import LearnedConfig, find_candidates, judge_round, relaxed, weighted_peak
+from l2p.attacks.learned.learned import Learned, LearnedConfig, weighted_peak
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.errors import InputError
 from l2p.geometry.frame import Frame
@@ -38,7 +37,7 @@ DATA = DataSettings(
     min_lines=40,
     max_lines=150,
 )
-CONFIG = LearnedConfig(rounds=3, candidates=12, batch=50)
+CONFIG = LearnedConfig(rounds=3, candidates=12)
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +51,11 @@ def network() -> LineTransformer:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         return LineTransformer(NetworkConfig(width=8, layers=1, heads=2)).eval().requires_grad_(False)
+
+
+@pytest.fixture(scope="module")
+def attack(network: LineTransformer) -> Learned:
+    return Learned(network, CONFIG)
 
 
 def lines_of(sources: Sources, number: int) -> tuple[int, int]:
@@ -128,8 +132,8 @@ def test_held_back_clouds_are_cut_to_the_most_lines() -> None:
 # Clouds
 
 
-def test_the_truth_of_a_cloud_is_that_of_its_scene() -> None:
-    cloud = lifted(CloudSource("sim:room:200:0", 0.5, 3))
+def test_the_truth_of_a_cloud_is_that_of_its_scene(attack: Learned) -> None:
+    cloud = lifted(CloudSource("sim:room:200:0", 0.5, 3), attack)
     points = l2p.simulate("room", 200, 0).xyz
     lines, index = l2p.lift_indexed(points, 3, 0.5)
     frame = Frame.of(lines)
@@ -140,11 +144,11 @@ def test_the_truth_of_a_cloud_is_that_of_its_scene() -> None:
     np.testing.assert_allclose(cloud.radius.numpy() * frame.unit, nearest[:, 25], rtol=1e-5)
 
 
-def test_samples_count_from_the_estimates_and_label_true_neighbours() -> None:
-    cloud = lifted(CloudSource("sim:room:200:0", 1.0, 3))
+def test_samples_count_from_the_estimates_and_label_true_neighbours(attack: Learned) -> None:
+    cloud = lifted(CloudSource("sim:room:200:0", 1.0, 3), attack)
     nodes, rows = cloud.first_nodes, torch.tensor([5, 90, 150])
-    candidates = find_candidates(cloud.lines, nodes, CONFIG)
-    sample = cloud.sample(nodes, candidates, rows)
+    candidates = attack.candidates(cloud.elements.lines, nodes)
+    sample = cloud.sample(attack, nodes, candidates, rows)
     torch.testing.assert_close(sample.true_beta + nodes.beta[rows], cloud.true_beta[rows])
     assert (sample.spacing == torch.tensor(cloud.spacing)).all()
     for row, i in enumerate(rows.tolist()):
@@ -161,7 +165,7 @@ def steps(pool: Pool, network: LineTransformer, lines: int = 32) -> Iterator[tup
     while True:
         sample, rows = pool.draw(lines)
         judgement = network(sample.edges)
-        pool.keep(rows, weighted_peak(judgement, pool.config), judgement)
+        pool.keep(rows, weighted_peak(judgement, pool.attack.config), judgement)
         yield sample, rows
 
 
@@ -178,8 +182,10 @@ def ended(pool: Pool, network: LineTransformer, place: int, count: int) -> list[
     return []
 
 
-def test_every_line_of_a_cloud_is_drawn_once_a_round(sources: Sources, network: LineTransformer) -> None:
-    rounds = ended(Pool(sources, CONFIG, 2, seed=0), network, place=1, count=7)
+def test_every_line_of_a_cloud_is_drawn_once_a_round(
+    sources: Sources, network: LineTransformer, attack: Learned
+) -> None:
+    rounds = ended(Pool(sources, attack, 2, seed=0), network, place=1, count=7)
     for before, drawn, _ in rounds:
         assert sorted(drawn) == list(range(len(before.nodes.beta)))
     orders = [drawn for before, drawn, _ in rounds if before.number == 1]
@@ -188,18 +194,21 @@ def test_every_line_of_a_cloud_is_drawn_once_a_round(sources: Sources, network: 
     assert rounds[2][2].number not in (0, 1), "the next cloud that nobody has had"
 
 
-def test_the_state_before_a_round_is_what_the_round_before_found(sources: Sources, network: LineTransformer) -> None:
+def test_the_state_before_a_round_is_what_the_round_before_found(
+    sources: Sources, network: LineTransformer, attack: Learned
+) -> None:
     """As in the attack itself, though lines come in another order and with those of other clouds."""
-    rounds = ended(Pool(sources, CONFIG, 2, seed=0), network, place=0, count=3)
+    rounds = ended(Pool(sources, attack, 2, seed=0), network, place=0, count=3)
     for before, _, after in rounds[:2]:
         cloud = before.cloud
         assert after.cloud is cloud
-        found = judge_round(cloud.lines, before.nodes, cloud.posterior, network, CONFIG)
-        nodes = surroundings(cloud.lines, relaxed(before.nodes, found.told, CONFIG))
+        state = cloud.state(before.nodes)
+        found = attack.judge(state)
+        nodes = attack.next(state, found).nodes
         for name, left, right in zip(nodes._fields, nodes, after.nodes, strict=True):
             torch.testing.assert_close(left, right, atol=1e-5, rtol=1e-5, msg=lambda text, name=name: f"{name}: {text}")
-        torch.testing.assert_close(found.sure, before.sure, atol=1e-5, rtol=1e-5)
-        assert torch.equal(find_candidates(cloud.lines, nodes, CONFIG), after.candidates)
+        torch.testing.assert_close(found.found, before.found, atol=1e-5, rtol=1e-5)
+        assert torch.equal(attack.candidates(cloud.elements.lines, nodes), after.candidates)
         assert not torch.equal(before.nodes.beta, after.nodes.beta)
     fresh = rounds[2][2]
     torch.testing.assert_close(fresh.nodes, fresh.cloud.first_nodes)
@@ -214,13 +223,15 @@ def stored(state: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("after", [0, 2, 7, 11])
-def test_a_stored_pool_goes_on_as_it_would_have(sources: Sources, network: LineTransformer, after: int) -> None:
+def test_a_stored_pool_goes_on_as_it_would_have(
+    sources: Sources, network: LineTransformer, attack: Learned, after: int
+) -> None:
     """From the middle of a round, and later clouds."""
-    pool = Pool(sources, CONFIG, 2, seed=0)
+    pool = Pool(sources, attack, 2, seed=0)
     for _ in islice(steps(pool, network), after):
         pass
     state = stored(pool.state_dict())
-    other = Pool(sources, CONFIG, 2, seed=0)
+    other = Pool(sources, attack, 2, seed=0)
     other.load_state_dict(state)
     for (one, rows), (two, again) in islice(zip(steps(pool, network), steps(other, network), strict=True), 12):
         assert all(torch.equal(left, right) for left, right in zip(rows, again, strict=True))
@@ -229,8 +240,10 @@ def test_a_stored_pool_goes_on_as_it_would_have(sources: Sources, network: LineT
     assert pool.drawn == other.drawn > 2
 
 
-def test_a_loaded_pool_does_not_write_to_what_it_was_loaded_from(sources: Sources, network: LineTransformer) -> None:
-    pool = Pool(sources, CONFIG, 1, seed=0)
+def test_a_loaded_pool_does_not_write_to_what_it_was_loaded_from(
+    sources: Sources, network: LineTransformer, attack: Learned
+) -> None:
+    pool = Pool(sources, attack, 1, seed=0)
     next(steps(pool, network))
     state = stored(pool.state_dict())
     kept = [part.clone() for part in state["entries"][0]["found"]]
@@ -239,10 +252,12 @@ def test_a_loaded_pool_does_not_write_to_what_it_was_loaded_from(sources: Source
     assert all(torch.equal(left, right) for left, right in zip(kept, state["entries"][0]["found"], strict=True))
 
 
-def test_processes_share_the_sources_without_overlap(sources: Sources, network: LineTransformer) -> None:
+def test_processes_share_the_sources_without_overlap(
+    sources: Sources, network: LineTransformer, attack: Learned
+) -> None:
     numbers: list[list[int]] = []
     for rank in range(3):
-        pool = Pool(sources, replace(CONFIG, rounds=1), 2, seed=0, rank=rank, ranks=3)
+        pool = Pool(sources, Learned(network, replace(CONFIG, rounds=1)), 2, seed=0, rank=rank, ranks=3)
         seen = [entry.number for entry in pool.entries]
         for _ in islice(steps(pool, network, lines=64), 6):
             seen += [entry.number for entry in pool.entries if entry.number not in seen]
@@ -251,21 +266,21 @@ def test_processes_share_the_sources_without_overlap(sources: Sources, network: 
     assert len({number for seen in numbers for number in seen}) == sum(map(len, numbers))
 
 
-def test_clouds_with_fewer_candidates_are_padded(network: LineTransformer) -> None:
+def test_clouds_with_fewer_candidates_are_padded(network: LineTransformer, attack: Learned) -> None:
     """A line gets the same judgement as in a batch of its own."""
     sources = Sources.of(replace(DATA, min_lines=3))
-    pool = Pool(sources, CONFIG, 8, seed=0)
+    pool = Pool(sources, attack, 8, seed=0)
     widths = [entry.candidates.shape[1] for entry in pool.entries]
     assert min(widths) < max(widths) == 12
     sample, rows = pool.draw(16)
     whole, begin = network(sample.edges), 0
     for entry, part in zip(pool.entries, rows, strict=True):
-        alone = entry.cloud.sample(entry.nodes, entry.candidates, part)
+        alone = entry.cloud.sample(attack, entry.nodes, entry.candidates, part)
         k, here = alone.label.shape[1], slice(begin, begin + len(part))
         begin += len(part)
         assert not sample.edges.valid[here, k:].any()
         assert torch.equal(sample.label[here, :k], alone.label)
-        own = network(Edges(*alone.edges))
-        torch.testing.assert_close(whole.sure[here], own.sure, atol=1e-5, rtol=1e-5)
+        own = network(alone.edges)
+        torch.testing.assert_close(whole.found[here], own.found, atol=1e-5, rtol=1e-5)
         torch.testing.assert_close(whole.vote[here, :k], own.vote, atol=1e-5, rtol=1e-5)
     assert begin == len(sample.true_beta)

@@ -7,23 +7,20 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 import l2p
-from l2p.attacks.attack import Estimate
-from l2p.attacks.run import named_method, run
+from l2p.attacks.attack import Attack, Elements, Estimate, locate
+from l2p.attacks.run import named_attack, run
 from l2p.attacks.settings import METHODS
 from l2p.cli.main import main
 from l2p.errors import InputError
-from l2p.geometry.elements import Lines
-from l2p.geometry.frame import Frame
 from l2p.work import memory
-from l2p.work.memory import BASE, GIB, SMALLEST, allotted, fitting, free_bytes, room
-from l2p.work.progress import NO_PROGRESS, Progress
+from l2p.work.memory import BASE, GIB, SMALLEST, allotted, fitting, free_bytes
+from l2p.work.work import Work
 
 NOWHERE = Path("/nowhere")
 
@@ -83,12 +80,8 @@ def test_where_nothing_is_known_nothing_is_bounded(monkeypatch: pytest.MonkeyPat
 
 
 def test_blocks_are_as_large_as_is_fast_or_as_fits() -> None:
-    assert fitting(100, 10) == 100
-    with room(500):
-        assert fitting(100, 10) == 50 and fitting(20, 10) == 20 and fitting(100, 1e9) == 1
-        with room(None):
-            assert fitting(100, 10) == 100
-    assert fitting(100, 10) == 100
+    assert fitting(100, 10, None) == 100
+    assert fitting(100, 10, 500) == 50 and fitting(20, 10, 500) == 20 and fitting(100, 1e9, 500) == 1
 
 
 def test_what_lines_do_not_take_is_for_blocks(machine: Path) -> None:
@@ -124,7 +117,7 @@ def test_the_answer_does_not_depend_on_the_memory(
 ) -> None:
     """To the last bit, with blocks far smaller than any that are accepted; so many lines that a tree is searched."""
     lines = l2p.lift(on_walls(4200), seed=0)
-    attack = named_method(method, rounds=1, checkpoint=tiny_checkpoint if method == "learned" else None)
+    attack = named_attack(method, rounds=1, checkpoint=tiny_checkpoint if method == "learned" else None)
     whole = run(lines, attack, memory=100)
     sizes = []
     monkeypatch.setattr("l2p.attacks.run.allotted", lambda *_: sizes.append(1 << 18) or sizes[-1])
@@ -135,12 +128,9 @@ def test_the_answer_does_not_depend_on_the_memory(
 
 
 def test_a_method_of_ones_own_is_not_bounded(scene_points: np.ndarray) -> None:
-    class Own:
-        def locate(self, lines: Lines, frame: Frame, progress: Progress = NO_PROGRESS) -> Estimate:
-            return named_method("tomography", rounds=0).locate(lines, frame, progress)
-
-        def settings(self) -> dict[str, Any]:
-            return {}
+    class Own(Attack):
+        def finish(self, state: Elements, work: Work) -> Estimate:
+            return locate(named_attack("tomography", rounds=0), state, work)
 
     assert len(run(l2p.lift(scene_points, seed=0), Own(), memory=1e-9)) == len(scene_points)
 
@@ -164,7 +154,7 @@ def test_too_little_memory_is_one_sentence_at_the_door(
 LIMITED = """
 import json, resource, sys
 import numpy as np, torch, scipy.spatial
-import l2p, l2p.attack
+import l2p, l2p.attacks.run
 lines = l2p.lift(l2p.simulate("room", points=int(sys.argv[1]), seed=0).xyz, seed=0)
 status = open("/proc/self/statm").read().split()
 size = int(status[0]) * resource.getpagesize() + (int(sys.argv[2]) << 30)

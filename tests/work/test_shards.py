@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any, TypeVar
@@ -15,22 +15,23 @@ from tiny import learned
 
 import l2p
 from l2p.attacks import run as attack
-from l2p.attacks.attack import Method
+from l2p.attacks.attack import Attack, Elements, Estimate
 from l2p.attacks.heuristic import Heuristic, HeuristicConfig
 from l2p.attacks.tomographic import Tomography
 from l2p.errors import InputError, LostProcessError
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import MANY, nearest_lines_to_lines, nearest_lines_to_points, nearest_points_to_lines
-from l2p.judging.references import Oracle
+from l2p.judging.references import CandidateOracle, LeaveOneOut, Oracle
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
-from l2p.work.journal import Rounds
-from l2p.work.shards import ALONE, BLOCK, Processes, Shards
+from l2p.work.journal import Journal, Saved
+from l2p.work.shards import BLOCK, Processes, Shards
+from l2p.work.work import Work
 
 Found = TypeVar("Found")
 
-METHODS: dict[str, Callable[[], Method]] = {
+METHODS: dict[str, Callable[[], Attack]] = {
     "learned": lambda: learned(rounds=2),
     "learned, no rounds": lambda: learned(rounds=0),
     "learned, of a tenth": lambda: learned(rounds=1, density=0.1),
@@ -101,9 +102,9 @@ def in_processes(count: int, work: Callable[[Shards], Found]) -> list[Found]:
     return [each.result() for each in running]
 
 
-def recovered(lines: LineCloud, method: Method, shards: Shards) -> Recovery | None:
+def recovered(lines: LineCloud, method: Attack, shards: Shards) -> Recovery | None:
     if shards.rank == 0:
-        return attack.run(lines, method, rounds=Rounds(shards))
+        return attack.run(lines, method, work=Work(shards))
     return attack.assist(method, shards)
 
 
@@ -135,11 +136,6 @@ def test_several_processes_find_what_one_finds(
         np.testing.assert_array_equal(getattr(first, part), getattr(alone[name], part), err_msg=part)
 
 
-def test_rounds_change_nothing_where_one_process_does_them(lines: LineCloud, alone: dict[str, Recovery]) -> None:
-    again = attack.run(lines, METHODS["learned"](), rounds=Rounds())
-    np.testing.assert_array_equal(again.xyz, alone["learned"].xyz)
-
-
 def test_too_few_lines_to_go_round_are_refused(lines: LineCloud) -> None:
     few = LineCloud(lines.direction[: 2 * BLOCK + 1], lines.moment[: 2 * BLOCK + 1])
     message = f"got 4 processes for {2 * BLOCK + 1} lines; expected at most 3, since each takes whole"
@@ -157,9 +153,67 @@ def test_a_process_with_other_settings_is_refused(lines: LineCloud) -> None:
         in_processes(2, work)
 
 
-def test_a_method_that_cannot_be_shared_is_refused(lines: LineCloud, scene_points: np.ndarray) -> None:
-    with pytest.raises(InputError, match="got Oracle to share out or to go on with; expected a method with locate_in"):
-        attack.run(lines, Oracle(scene_points), rounds=Rounds())
+class Wandering(Attack):
+    """A user's own: estimates move a step along their line every round; all that it knows of processes is ``work``."""
+
+    rounds = 3
+    columns: Mapping[str, tuple[int, ...]] = {"beta": ()}
+
+    def begin(self, elements: Elements, saved: Mapping[str, torch.Tensor] | None, work: Work) -> SimpleNamespace:
+        beta = elements.lines.moment[:, 0] if saved is None else saved["beta"]
+        return SimpleNamespace(lines=elements.lines, beta=beta)
+
+    def step(self, state: SimpleNamespace, work: Work) -> SimpleNamespace:
+        own = state.beta[work.own(len(state.beta))]
+        return SimpleNamespace(lines=state.lines, beta=work.gather(own + state.beta.median(), len(state.beta)))
+
+    def finish(self, state: SimpleNamespace, work: Work) -> Estimate:
+        beta = state.beta[work.own(len(state.beta))]
+        nobody = beta.new_zeros(len(beta), 0)
+        return Estimate(beta, torch.ones_like(beta), nobody.int(), nobody)
+
+
+class Memory(Journal):
+    """A journal in memory, which a run can be interrupted at and continued from."""
+
+    def __init__(self, interrupt: int | None = None, saved: Saved | None = None) -> None:
+        self.interrupt, self.saved = interrupt, saved
+
+    def last(self) -> Saved | None:
+        return self.saved
+
+    def save(self, saved: Saved) -> None:
+        self.saved = saved
+        if saved.rounds == self.interrupt:
+            raise KeyboardInterrupt
+
+
+REFERENCES: dict[str, Callable[[np.ndarray], Attack]] = {
+    "a user's own": lambda points: Wandering(),
+    "oracle": lambda points: Oracle(points, 20, 0.3),
+    "candidate oracle": lambda points: CandidateOracle(points, Tomography(), 20, 40),
+    "leave-one-out": LeaveOneOut,
+}
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+def test_references_and_users_own_attacks_are_shared_and_resumed_alike(
+    name: str, on_walls: Callable[[int], np.ndarray]
+) -> None:
+    points = on_walls(3 * BLOCK + 32)
+    lines, index = l2p.lift_indexed(points, seed=0)
+    attacks = [REFERENCES[name](points[index]) for _ in range(3)]
+    whole = attack.run(lines, attacks[0])
+    shared, _ = in_processes(2, lambda shards: recovered(lines, attacks[shards.rank], shards))
+    assert shared is not None
+    np.testing.assert_array_equal(shared.xyz, whole.xyz)
+    np.testing.assert_array_equal(shared.neighbors, whole.neighbors)
+    if attacks[2].rounds:
+        journal = Memory(interrupt=1)
+        with pytest.raises(KeyboardInterrupt):
+            attack.run(lines, attacks[2], work=Work(journal=journal))
+        again = attack.run(lines, attacks[2], work=Work(journal=Memory(saved=journal.saved)))
+        np.testing.assert_array_equal(again.xyz, whole.xyz)
 
 
 def test_a_lost_process_is_an_error_of_the_others() -> None:
@@ -202,7 +256,7 @@ def test_what_a_process_sends_is_counted() -> None:
         return shards.sent
 
     assert in_processes(2, work) == [80 + BLOCK * 8 + 40, 80 + 36 * 8]
-    assert ALONE.sent == 0
+    assert Shards().sent == 0
 
 
 @pytest.mark.parametrize("search", ["lines to lines", "points to lines", "lines to points"])
@@ -216,11 +270,11 @@ def test_searches_find_the_neighbors_of_own_lines(
     lines: Lines = frame.enter(cloud)
     points = frame.enter_points(on_walls(size))
     find = {
-        "lines to lines": lambda shards: nearest_lines_to_lines(lines, 9, shards=shards),
-        "points to lines": lambda shards: nearest_points_to_lines(lines, points, 9, shards=shards),
-        "lines to points": lambda shards: nearest_lines_to_points(points, lines, 9, shards=shards),
+        "lines to lines": lambda shards: nearest_lines_to_lines(lines, 9, work=Work(shards)),
+        "points to lines": lambda shards: nearest_points_to_lines(lines, points, 9, work=Work(shards)),
+        "lines to points": lambda shards: nearest_lines_to_points(points, lines, 9, work=Work(shards)),
     }[search]
-    whole = find(ALONE)
+    whole = find(Shards())
     parts = in_processes(3, find)
     assert torch.equal(torch.cat([part.index for part in parts]), whole.index)
     assert torch.equal(torch.cat([part.distance for part in parts]), whole.distance)

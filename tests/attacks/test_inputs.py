@@ -3,21 +3,37 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pytest
 import torch
-from l2p.attacks.learned.features import EDGE, SCALE, STATE, VOTES, WIDE, Edges, Nodes, Told, edges, surroundings
 from torch import Tensor
 
 import l2p
+from l2p.attacks.learned import checkpoint
+from l2p.attacks.learned.candidates import Candidates
+from l2p.attacks.learned.checkpoint import Checkpoint
+from l2p.attacks.learned.edges import Edges, edges_of, feature_names, vote_names
+from l2p.attacks.learned.inputs import GEOMETRY, INPUTS, inputs_of
+from l2p.attacks.learned.inputs.family import Inputs, Kind, Values
+from l2p.attacks.learned.learned import LearnedConfig
+from l2p.attacks.learned.network import LineTransformer, NetworkConfig
+from l2p.attacks.learned.nodes import Estimates, Nodes, NodesConfig, nodes_of
+from l2p.attacks.run import run
 from l2p.attacks.tomography.posterior import Posterior
+from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.geometry.local_planes import Surface, fitted
 
 LINES, K = 80, 10
+FAMILIES = inputs_of(GEOMETRY)
+EDGE, VOTES = feature_names(FAMILIES), vote_names(FAMILIES)
+CONFIG, STATE = NodesConfig(), 8
+SCALE, WIDE = CONFIG.scale, CONFIG.wide
 ROWS = torch.arange(0, LINES, 3)
 
 
@@ -33,10 +49,13 @@ class Scene(NamedTuple):
 
     @property
     def nodes(self) -> Nodes:
-        return surroundings(self.lines, Told(self.beta, self.confidence, self.state))
+        return nodes_of(self.lines, Estimates(self.beta, self.confidence, self.state), CONFIG)
 
     def edges(self) -> Edges:
-        return edges(self.lines, self.nodes, self.posterior, ROWS, self.candidates[ROWS])
+        return edges_of(self.pairs(), FAMILIES)
+
+    def pairs(self, rows: Tensor = ROWS, **attributes: Tensor) -> Candidates:
+        return Candidates.of(self.lines, self.nodes, self.posterior, rows, self.candidates[rows], attributes=attributes)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +84,7 @@ def assert_close(one: Edges, other: Edges) -> None:
     """The same where there are candidates."""
     assert torch.equal(one.valid, other.valid)
     for name, left, right in zip(one._fields, one, other, strict=True):
-        if name not in ("side", "valid"):
+        if name != "valid":
             left, right = left[one.valid], right[one.valid]
         torch.testing.assert_close(left, right, atol=1e-7, rtol=1e-6, msg=lambda text, name=name: f"{name}: {text}")
 
@@ -125,7 +144,7 @@ def slow_feature(scene: Scene, nodes: Nodes, side: float, i: int, j: int) -> dic
     closest, foot = votes["closest"], votes["foot"]
     across = np.cross(d, along)
     line_line = abs((other - o) @ across) / np.linalg.norm(across)
-    gap = np.linalg.norm(o + foot * d - point)
+    point_line = np.linalg.norm(o + foot * d - point)
 
     def mass(place: float) -> float:
         samples = zip(scene.posterior.beta[i].tolist(), scene.posterior.probability[i].tolist(), strict=True)
@@ -134,9 +153,9 @@ def slow_feature(scene: Scene, nodes: Nodes, side: float, i: int, j: int) -> dic
     return {
         "foot": side * compressed((foot - beta) / scale),
         "closest": side * compressed((closest - beta) / scale),
-        "gap": compressed(abs(closest - foot) / scale),
+        "foot_closest": compressed(abs(closest - foot) / scale),
         "line_line": compressed(line_line / scale),
-        "point_line": compressed(gap / scale),
+        "point_line": compressed(point_line / scale),
         "line_point": compressed(np.linalg.norm(here - other - ((here - other) @ along) * along) / scale),
         "point_point": compressed(np.linalg.norm(here - point) / scale),
         "cosine": abs(d @ along),
@@ -148,7 +167,7 @@ def slow_feature(scene: Scene, nodes: Nodes, side: float, i: int, j: int) -> dic
         "log_scale": math.log(scale / typical),
         "log_scale_ratio": math.log(scale / float(nodes.scale[i])),
         "log_line_line": math.log(line_line / typical + 1e-3),
-        "log_point_line": math.log(gap / typical + 1e-3),
+        "log_point_line": math.log(point_line / typical + 1e-3),
         **slow_surface(scene, nodes.surface, side, i, j),
         **{f"wide_{name}": value for name, value in slow_surface(scene, nodes.wide, side, i, j).items()},
     }
@@ -179,17 +198,17 @@ def test_features_are_what_their_names_say(scene: Scene) -> None:
             np.testing.assert_allclose(seen.feature[row, column].numpy(), expected, rtol=1e-5, atol=1e-7)
 
 
-def test_candidates_bring_their_own_gap_width_confidence_and_state(scene: Scene) -> None:
+def test_candidates_bring_their_own_distance_scale_confidence_and_state(scene: Scene) -> None:
     seen, nodes = scene.edges(), scene.nodes
     chosen = scene.candidates[ROWS]
     there, j = seen.valid, chosen[seen.valid]
-    assert torch.equal(there, chosen >= 0) and torch.equal(seen.index, chosen)
-    assert torch.equal(seen.width[there], nodes.scale[j])
+    assert torch.equal(there, chosen >= 0)
+    assert torch.equal(seen.scale[there], nodes.scale[j])
     assert torch.equal(seen.confidence[there], scene.confidence[j])
     assert torch.equal(seen.state[there], scene.state[j])
     i = ROWS[:, None].expand_as(chosen)[there]
     off = torch.linalg.cross(nodes.point[j], scene.lines.direction[i]) - scene.lines.moment[i]
-    torch.testing.assert_close(seen.gap[there], off.norm(dim=1))
+    torch.testing.assert_close(seen.point_line[there], off.norm(dim=1))
 
 
 def test_surroundings_are_those_of_the_nearest_estimates(scene: Scene) -> None:
@@ -202,7 +221,9 @@ def test_surroundings_are_those_of_the_nearest_estimates(scene: Scene) -> None:
         assert float(nodes.crowd[i]) == pytest.approx(confidence[near[: SCALE + 1]].mean())
         for surface, count in ((nodes.surface, SCALE), (nodes.wide, WIDE)):
             some = near[: count + 1]
-            expected = fitted(*(torch.as_tensor(part[some])[None] for part in (points, direction, confidence)))
+            expected = fitted(
+                *(torch.as_tensor(part[some])[None] for part in (points, direction, confidence)), CONFIG.surface
+            )
             for found, part in zip(Surface(*(part[i : i + 1] for part in surface)), expected, strict=True):
                 torch.testing.assert_close(found.abs(), part.abs(), atol=1e-6, rtol=1e-6)
 
@@ -214,11 +235,11 @@ def test_wide_surfaces_are_those_of_the_nearest_leader() -> None:
     direction = torch.nn.functional.normalize(torch.randn(foot.shape, generator=draw).double(), dim=1)
     lines = Lines(direction, torch.linalg.cross(foot, direction))
     beta, confidence = (foot * direction).sum(dim=1), torch.rand(len(foot), generator=draw).double()
-    nodes = surroundings(lines, Told(beta, confidence, torch.zeros(len(foot), STATE).double()))
+    nodes = nodes_of(lines, Estimates(beta, confidence, torch.zeros(len(foot), STATE).double()), CONFIG)
     for i, point in enumerate(foot):
         leader = 2 * int((foot[::2] - point).norm(dim=1).argmin())
         some = (foot - foot[leader]).norm(dim=1).argsort()[: WIDE + 1]
-        expected = fitted(*(part[some][None] for part in (foot, direction, confidence)))
+        expected = fitted(foot[some][None], direction[some][None], confidence[some][None], CONFIG.surface)
         for found, part in zip(nodes.wide, expected, strict=True):
             torch.testing.assert_close(found[i].abs(), part[0].abs(), atol=1e-6, rtol=1e-6)
 
@@ -237,7 +258,7 @@ def test_a_rigid_motion_and_scale_change_lengths_alone(scene: Scene, rng: np.ran
         posterior=scene.posterior._replace(beta=factor * scene.posterior.beta + ahead[:, None]),
     )
     seen = moved.edges()
-    back = seen._replace(**{name: getattr(seen, name) / factor for name in ("vote", "foot", "gap", "width")})
+    back = seen._replace(**{name: getattr(seen, name) / factor for name in ("vote", "foot", "point_line", "scale")})
     assert_close(scene.edges(), back)
 
 
@@ -266,31 +287,113 @@ def test_order_of_lines_changes_indices_alone(scene: Scene) -> None:
         posterior=Posterior(*(part[order] for part in scene.posterior)),
         candidates=torch.where(scene.candidates < 0, -1, place[scene.candidates.clamp_min(0)])[order],
     )
-    seen = edges(shuffled.lines, shuffled.nodes, shuffled.posterior, place[ROWS], shuffled.candidates[place[ROWS]])
-    assert_close(scene.edges(), seen._replace(index=torch.where(seen.valid, order[seen.index.clamp_min(0)], -1)))
+    assert_close(scene.edges(), edges_of(shuffled.pairs(place[ROWS]), FAMILIES))
 
 
 def test_order_of_candidates_changes_their_order_alone(scene: Scene) -> None:
     seen = scene._replace(candidates=scene.candidates.flip(1)).edges()
-    assert_close(scene.edges(), Edges(**{n: v if n == "side" else v.flip(1) for n, v in seen._asdict().items()}))
+    assert_close(scene.edges(), Edges(*(column.flip(1) for column in seen)))
 
 
 def test_padding_changes_nothing(scene: Scene) -> None:
     more = scene._replace(candidates=torch.nn.functional.pad(scene.candidates, (0, 3), value=-1)).edges()
     assert not more.valid[:, K:].any() and (more.feature[~more.valid] == 0).all()
-    assert_close(scene.edges(), Edges(**{n: v if n == "side" else v[:, :K] for n, v in more._asdict().items()}))
+    assert_close(scene.edges(), Edges(*(column[:, :K] for column in more)))
 
 
 def test_other_rows_change_nothing(scene: Scene) -> None:
-    one = edges(scene.lines, scene.nodes, scene.posterior, ROWS[4:5], scene.candidates[ROWS[4:5]])
-    assert_close(Edges(*(part[4:5] for part in scene.edges())), one)
+    assert_close(Edges(*(part[4:5] for part in scene.edges())), edges_of(scene.pairs(ROWS[4:5]), FAMILIES))
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_few_and_coinciding_estimates_have_finite_surroundings(scene: Scene, count: int) -> None:
     lines = Lines(*(part[:1].repeat(count, 1) for part in scene.lines))
-    nodes = surroundings(lines, Told(scene.beta[:1].repeat(count), scene.confidence[:count], scene.state[:count]))
+    estimates = Estimates(scene.beta[:1].repeat(count), scene.confidence[:count], scene.state[:count])
+    nodes = nodes_of(lines, estimates, CONFIG)
     assert (nodes.scale > 0).all() and nodes.crowd.isfinite().all()
     for surface in (nodes.surface, nodes.wide):
         assert all(part.isfinite().all() for part in surface)
         torch.testing.assert_close(surface.normal.norm(dim=1), torch.ones(count).double())
+
+
+# Families
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """A toy: how like the colours of a pair are; a whole new input is this class and a row of INPUTS."""
+
+    columns: ClassVar = {"likeness": Kind.NUMBER, "color_distance": Kind.LENGTH}
+    votes: ClassVar = ()
+    needs: ClassVar = ("rgb",)
+    least: float = 0.5
+
+    def of(self, pairs: Candidates) -> Values:
+        own, other = pairs.attribute("rgb")
+        apart = (own - other).norm(dim=-1)
+        return Values([1 / (self.least + apart), apart * pairs.scale])
+
+
+@pytest.fixture
+def likeness(monkeypatch: pytest.MonkeyPatch) -> tuple[Inputs, ...]:
+    monkeypatch.setitem(INPUTS, "likeness", f"{__name__}:Likeness")
+    return inputs_of((*GEOMETRY, "likeness"))
+
+
+def test_a_new_input_is_one_file_and_one_row(scene: Scene, likeness: tuple[Inputs, ...]) -> None:
+    rgb = torch.rand(LINES, 3, generator=torch.Generator().manual_seed(5)).double()
+    names = feature_names(likeness)
+    seen = edges_of(scene.pairs(rgb=rgb), likeness)
+    for row, i in enumerate(ROWS.tolist()):
+        for column, j in enumerate(scene.candidates[i].tolist()):
+            if j >= 0:
+                apart = float((rgb[i] - rgb[j]).norm())
+                found = dict(zip(names, seen.feature[row, column].tolist(), strict=True))
+                assert found["likeness"] == pytest.approx(1 / (0.5 + apart))
+                assert found["color_distance"] == pytest.approx(math.log1p(apart))
+                assert found["has_rgb"] == 1
+    old = [names.index(name) for name in EDGE]
+    torch.testing.assert_close(seen.feature[..., old], scene.edges().feature)
+
+
+def test_an_absent_attribute_leaves_its_columns_0(scene: Scene, likeness: tuple[Inputs, ...]) -> None:
+    seen, names = edges_of(scene.pairs(), likeness), feature_names(likeness)
+    for name in ("likeness", "color_distance", "has_rgb"):
+        assert (seen.feature[..., names.index(name)] == 0).all()
+    assert_close(scene.edges(), seen._replace(feature=seen.feature[..., [names.index(name) for name in EDGE]]))
+
+
+def test_a_network_with_a_new_input_attacks_and_is_saved_with_its_constants(
+    scene_points: np.ndarray, likeness: tuple[Inputs, ...], tmp_path: Path
+) -> None:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        network = LineTransformer(NetworkConfig(width=8, heads=2, inputs=(*GEOMETRY, "likeness")))
+    inputs: tuple[Any, ...] = (*inputs_of(GEOMETRY), Likeness(least=0.25))
+    config, calibration = LearnedConfig(rounds=2), [[(1.0, 0.0)] * 5] * 2
+    checkpoint.save(tmp_path / "like.safetensors", Checkpoint(network, config, calibration, {}, inputs))
+    attack = checkpoint.load(tmp_path / "like.safetensors")
+    assert attack.inputs == inputs
+    rgb = np.random.default_rng(0).integers(0, 256, (len(scene_points), 3)).astype(np.uint8)
+    with_colors, without = (run(l2p.lift(scene_points, seed=0, rgb=colors), attack) for colors in (rgb, None))
+    assert np.isfinite(with_colors.xyz).all() and np.isfinite(without.xyz).all()
+    assert not np.array_equal(with_colors.xyz, without.xyz)
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (("position", "nose"), "got input 'nose' of a network; expected some of position"),
+        (("position", "position"), "expected each of them once"),
+        (("distance", "angle"), "none of which votes"),
+    ],
+)
+def test_unknown_repeated_and_voteless_inputs_are_refused(names: tuple[str, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        inputs_of(names)
+
+
+@pytest.mark.parametrize("constants", [{}, {"least": "small"}, {"least": 1e-3, "most": 1}])
+def test_constants_of_another_family_are_refused(constants: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="of input distance; expected numbers for"):
+        inputs_of(("position", "distance"), {"position": {}, "distance": constants})
