@@ -210,18 +210,18 @@ def test_a_headline_without_truth_is_a_prediction_or_none(blind, scene):
 
 
 def test_the_report_is_a_page_and_its_figures(found, tmp_path):
-    found.save(tmp_path / "report", command="l2p audit x")
+    l2p.save_report(found, tmp_path / "report", command="l2p audit x")
     assert {path.name for path in (tmp_path / "report").iterdir()} == set(report.FILES)
     assert json.loads((tmp_path / "report" / report.FIGURES).read_text())["command"] == "l2p audit x"
     with pytest.raises(l2p.InputError, match="exists"):
-        found.save(tmp_path / "report")
-    found.save(tmp_path / "report", overwrite=True)
+        l2p.save_report(found, tmp_path / "report")
+    l2p.save_report(found, tmp_path / "report", overwrite=True)
 
 
 def test_a_folder_with_anything_else_is_never_replaced(found, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(l2p.InputError, match="did not write"):
-        found.save(tmp_path, overwrite=True)
+        l2p.save_report(found, tmp_path, overwrite=True)
 
 
 def test_a_report_is_whole_or_absent(found, tmp_path, monkeypatch):
@@ -230,7 +230,7 @@ def test_a_report_is_whole_or_absent(found, tmp_path, monkeypatch):
 
     monkeypatch.setattr(report, "report_page", broken)
     with pytest.raises(KeyboardInterrupt):
-        found.save(tmp_path / "report")
+        l2p.save_report(found, tmp_path / "report")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -185,7 +185,7 @@ def test_commands_load_only_what_they_use(files, tmp_path):
     program = textwrap.dedent(
         """
         import sys
-        from l2p.cli import main
+        from l2p.cli.main import main
         heavy = {"torch", "open3d", "pycolmap", "plyfile", "matplotlib", *sys.argv[1].split()}
         try:
             assert main(sys.argv[2:]) == 0

@@ -248,7 +248,7 @@ def test_help_loads_nothing_heavy():
     program = textwrap.dedent(
         """
         import sys
-        from l2p.cli import main
+        from l2p.cli.main import main
         try:
             main(sys.argv[1:])
         except SystemExit as error:
@@ -265,7 +265,7 @@ def test_commands_load_only_what_they_use(scene):
     program = textwrap.dedent(
         """
         import sys
-        from l2p.cli import main
+        from l2p.cli.main import main
         assert main(sys.argv[1:]) == 0
         heavy = {"torch", "scipy", "open3d", "pycolmap", "plyfile", "matplotlib", "lightning", "hydra"}
         assert not heavy & set(sys.modules), heavy & set(sys.modules)
@@ -308,7 +308,7 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path, lifted):
             print("working", flush=True)
             time.sleep(60)
         importlib.import_module("l2p.attacks.run").run = slow
-        from l2p.cli import main
+        from l2p.cli.main import main
         sys.exit(main(sys.argv[1:]))
         """
     )

@@ -203,7 +203,7 @@ def dying(function):
         return function(*arguments, **words)
     return call
 os.replace, os.fsync, os.mkdir = map(dying, (os.replace, os.fsync, os.mkdir))
-from l2p.cli import main
+from l2p.cli.main import main
 sys.exit(main(sys.argv[2:]))
 """
 

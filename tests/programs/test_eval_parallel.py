@@ -70,7 +70,7 @@ SEEDS = "seeds=[0,1,2,3,4,5]"
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("eval.program.draw_figures", lambda rows, knowing: [])
+    monkeypatch.setattr("eval.evaluation.draw_figures", lambda rows, knowing: [])
 
 
 @pytest.fixture
@@ -206,7 +206,7 @@ def test_processes_follow_cores_and_free_memory(
     given: str, free: float, expected: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(eval.capacity, "free_gib", lambda: free)
-    monkeypatch.setattr("eval.program.cores", lambda: 8)
+    monkeypatch.setattr("eval.evaluation.cores", lambda: 8)
     chosen = settings("scenes=[sim:room:2000:0]", "fractions=[1.0,0.5]", "seeds=[0,1,2]", *given.split())
     assert plan(chosen, cells_of(chosen, scenes_of(chosen.scenes, {}))) == expected
 
