@@ -39,7 +39,6 @@ def curves_of(
     recovery: Recovery,
     error: Float[np.ndarray, " lines"],
     right: Bool[np.ndarray, "lines k"] | None,
-    calibrated: bool,
 ) -> dict[str, Any]:
     """Every curve of a prediction, as plain lists; None for what the prediction does not have.
 
@@ -49,15 +48,13 @@ def curves_of(
         Spacings.
     right
         Which neighbours are true; None without neighbours.
-    calibrated
-        Whether the confidence is meant as a probability: only then has it a reliability.
     """
     inside = error <= 1
     ranks = recovery.confidence.min() < recovery.confidence.max()
     return {
         "within": _plain(distribution(error)),
         "risk": _plain(sampled_risk(recovery.confidence, inside)) if ranks else None,
-        "reliability": _plain(sampled_reliability(recovery.confidence, inside)) if calibrated else None,
+        "reliability": _plain(sampled_reliability(recovery.confidence, inside)) if recovery.calibrated else None,
         "neighbors": None if right is None else _plain(sampled_precision(recovery, right)),
     }
 

@@ -58,7 +58,7 @@ def write_results(store: Store, rows: list[Row], about: dict[str, Any]) -> None:
 
 
 def _stamp(cell: Cell, store: Store) -> str:
-    measures = f"{ROW_VERSION} {cell.contender.calibrated} {source_digest('metrics.py')}"
+    measures = f"{ROW_VERSION} {source_digest('judging')}"
     return hashlib.sha256(store.record(cell).read_bytes() + measures.encode()).hexdigest()[:16]
 
 
@@ -87,7 +87,7 @@ def _row(cell: Cell, store: Store) -> Row:
         "made": record["made"],
         "commit": record["commit"],
         "code": record["code"],
-        "curves": curves_of(recovery, error, right, cell.contender.calibrated),
+        "curves": curves_of(recovery, error, right),
     }
 
 

@@ -79,6 +79,9 @@ class Heuristic:
     "Fairness").
     """
 
+    #: The confidence only ranks.
+    calibrated = False
+
     def __init__(self, config: HeuristicConfig | None = None) -> None:
         self.config = config or HeuristicConfig()
 

@@ -132,7 +132,8 @@ def run(
 ) -> Recovery:
     """Run any method, an attack, a bound or a user's own, on a line cloud.
 
-    ``memory`` (GiB a process) bounds methods that say how many bytes they hold of each line, in an attribute
+    A method with an attribute ``calibrated`` that is true claims that its confidence is the probability of lying within
+    1 spacing. ``memory`` (GiB a process) bounds methods that say how many bytes they hold of each line, in an attribute
     ``line_bytes``. With ``rounds``, several processes share the lines of this one, the first, while :func:`assist` runs
     in the others; and the run goes on from the last round in the journal.
     """
@@ -169,6 +170,7 @@ def run(
         neighbors=estimate.neighbors.cpu().numpy().astype(np.int64),
         affinity=estimate.affinity.float().cpu().numpy(),
         info=info,
+        calibrated=bool(getattr(method, "calibrated", False)),
     )
 
 

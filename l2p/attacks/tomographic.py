@@ -55,6 +55,9 @@ class Tomography:
     calibrated.
     """
 
+    #: The confidence only ranks.
+    calibrated = False
+
     def __init__(self, config: TomographicConfig | None = None) -> None:
         self.config = config or TomographicConfig()
 

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, UInt8
 
 from l2p.attacks.run import recover
-from l2p.attacks.settings import CALIBRATED, DEFAULT_METHOD, SETTINGS
+from l2p.attacks.settings import DEFAULT_METHOD, SETTINGS
 from l2p.errors import InputError
 from l2p.judging.accuracy import Scores, errors, evaluate, spacing
 from l2p.judging.curves import COVERAGE, THRESHOLDS, Curves, measured, predicted
@@ -135,7 +135,7 @@ class Audit:
     @property
     def calibrated(self) -> bool:
         """Whether the confidence is the probability of lying within 1 spacing."""
-        return self.method in CALIBRATED
+        return self.trials[0].recovery.calibrated
 
     def as_dict(self) -> dict[str, Any]:
         """All figures, settings and versions as plain values, for a JSON file."""
@@ -245,7 +245,6 @@ def _trial(
     lines, index = lift_indexed(scene.xyz, seed=seed, fraction=fraction)
     recovery = _attack(lines, fraction, settings, progress)
     truth, rgb = scene.xyz[index], None if scene.rgb is None else scene.rgb[index]
-    calibrated = settings["method"] in CALIBRATED
     error = errors(recovery.xyz, truth) / scale
     return Trial(
         fraction,
@@ -254,17 +253,16 @@ def _trial(
         truth,
         rgb,
         evaluate(recovery, truth, scale, metric=metric),
-        Prediction.of(recovery.confidence) if calibrated else None,
-        measured(error, recovery.confidence, calibrated=calibrated),
+        Prediction.of(recovery.confidence) if recovery.calibrated else None,
+        measured(error, recovery.confidence, calibrated=recovery.calibrated),
     )
 
 
 def _audit_lines(lines: LineCloud, settings: dict[str, Any], metric: bool, progress: Progress, name: str) -> Audit:
     """Attack a line cloud whose points nobody knows."""
     recovery = _attack(lines, 1.0, settings, progress)
-    calibrated = settings["method"] in CALIBRATED
-    curves = predicted(recovery.confidence) if calibrated else Curves([], [], [], [])
-    prediction = Prediction.of(recovery.confidence) if calibrated else None
+    curves = predicted(recovery.confidence) if recovery.calibrated else Curves([], [], [], [])
+    prediction = Prediction.of(recovery.confidence) if recovery.calibrated else None
     trial = Trial(1.0, lines, recovery, None, lines.rgb, None, prediction, curves)
     return Audit(name, len(lines), spacing(recovery.xyz), (trial,), settings["method"], None, metric)
 

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
 
-from l2p.attacks.settings import RANKING
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
 from l2p.cli.recover import recover as recover
 from l2p.errors import InputError
@@ -65,7 +64,7 @@ def evaluate(arguments: Namespace) -> None:
     with figures_file(arguments, {name: scores.as_dict() for name, scores in columns.items()}):
         pass
     if arguments.json != "-":
-        print_scores(columns, calibrated=recovery.info.get("method") not in RANKING)
+        print_scores(columns)
 
 
 def audit(arguments: Namespace) -> None:
@@ -102,7 +101,7 @@ def audit(arguments: Namespace) -> None:
     if arguments.json != "-":
         if found.known:
             columns = {f"{100 * trial.fraction:g} %": trial.scores for trial in found.trials if trial.scores}
-            print_scores(columns, calibrated=found.calibrated)
+            print_scores(columns)
         for sentence in filter(None, (headline(found), typical(found), sparser(found))):
             print(sentence.replace("\N{NO-BREAK SPACE}", " "))
         print(f"The report is {Path(arguments.output) / PAGE}")
@@ -205,4 +204,4 @@ def _shown(path: str) -> str:
 
 
 def _rows(recovery: Recovery, kept: Bool[np.ndarray, " lines"]) -> Recovery:
-    return Recovery(recovery.xyz[kept], recovery.confidence[kept], recovery.beta[kept])
+    return Recovery(recovery.xyz[kept], recovery.confidence[kept], recovery.beta[kept], calibrated=recovery.calibrated)

@@ -43,9 +43,9 @@ class Scores:
         Share of points within each threshold; ``within_cm`` is empty unless the scene is metric.
     confident_half, confident_quarter : float
         Share within 1 spacing among the most confident half and quarter of the lines.
-    calibration_error : float
+    calibration_error : float or None
         Expected calibration error of the confidence as the probability of lying within 1 spacing, in 15 bins of
-        equal size; a low figure is only claimed by methods with a calibrated confidence.
+        equal size; None where the confidence only ranks.
     """
 
     lines: int
@@ -57,7 +57,7 @@ class Scores:
     within_cm: dict[str, float]
     confident_half: float
     confident_quarter: float
-    calibration_error: float
+    calibration_error: float | None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for a JSON file."""
@@ -158,7 +158,7 @@ def evaluate(
         within_cm={f"{t:g}": float((error <= t / 100).mean()) for t in CENTIMETRES} if metric else {},
         confident_half=float(inside[order[: (len(order) + 1) // 2]].mean()),
         confident_quarter=float(inside[order[: (len(order) + 3) // 4]].mean()),
-        calibration_error=calibration_error(recovery.confidence, inside),
+        calibration_error=calibration_error(recovery.confidence, inside) if recovery.calibrated else None,
     )
 
 

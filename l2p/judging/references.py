@@ -47,6 +47,9 @@ class Oracle:
     No ceiling: to know a point's nearest neighbours is to know something about the point itself.
     """
 
+    #: The confidence only ranks.
+    calibrated = False
+
     def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 50, outliers: float = 0.0, seed: int = 0) -> None:
         _check_count("k", k)
         if not 0 <= outliers <= 1:
@@ -93,6 +96,9 @@ class CandidateOracle:
         Size of N_pl around the attack's estimates.
     """
 
+    #: The confidence only ranks.
+    calibrated = False
+
     def __init__(
         self, points: Float[np.ndarray, "lines 3"], attack: Method, k: int = 50, candidates: int = 200
     ) -> None:
@@ -130,6 +136,9 @@ class LeaveOneOut:
     k : int
         Points nearest to the line that enter the density; the kernel reaches no farther in practice.
     """
+
+    #: The confidence only ranks.
+    calibrated = False
 
     def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 128) -> None:
         _check_count("k", k)

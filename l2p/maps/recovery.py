@@ -18,8 +18,7 @@ class Recovery:
     xyz : (lines, 3) float64
         Recovered points, in scene units, each on its line.
     confidence : (lines,) float32
-        In [0, 1]; for the learned method a calibrated probability of lying within 1 spacing, for the others a number
-        that only ranks.
+        In [0, 1]; the greater, the likelier is the point to be right.
     beta : (lines,) float64
         Position along the line from its canonical foot, in scene units: ``xyz = origin + beta * direction``.
     rgb : (lines, 3) uint8 or None
@@ -34,6 +33,8 @@ class Recovery:
         Points that passed ``--min-confidence`` and ``--clean``; a PLY and a COLMAP model hold these only.
     info : dict
         Method, settings, seed, seconds: plain values for a JSON file.
+    calibrated : bool
+        The confidence is the probability of lying within 1 spacing, and does not only rank.
     """
 
     xyz: Float[np.ndarray, "lines 3"]
@@ -44,6 +45,7 @@ class Recovery:
     affinity: Float[np.ndarray, "lines k"] | None = None
     kept: Bool[np.ndarray, " lines"] | None = None
     info: dict[str, Any] = field(default_factory=dict)
+    calibrated: bool = False
 
     def __len__(self) -> int:
         return len(self.xyz)

@@ -22,11 +22,10 @@ def commit() -> str | None:
 
 
 @cache
-def source_digest(*names: str) -> str:
-    """A digest of the sources of l2p, or of the named files in it: it differs where results may."""
-    files = [PACKAGE / name for name in names] or sorted(PACKAGE.rglob("*.py"))
+def source_digest(room: str = "") -> str:
+    """A digest of the sources of l2p, or of one folder in it: it differs where results may."""
     digest = hashlib.sha256()
-    for file in files:
+    for file in sorted((PACKAGE / room).rglob("*.py")):
         digest.update(file.relative_to(PACKAGE).as_posix().encode())
         digest.update(file.read_bytes())
     return digest.hexdigest()[:12]

@@ -78,7 +78,7 @@ def drawn() -> None:
 def _quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Other tests do without figures, which take longer than all the rest."""
     if "drawn" not in request.fixturenames:
-        monkeypatch.setattr("eval.program.draw_figures", lambda rows, knowing: [])
+        monkeypatch.setattr("eval.evaluation.draw_figures", lambda rows, knowing: [])
 
 
 @pytest.fixture
@@ -245,6 +245,44 @@ def test_a_users_points_and_recoveries_are_scored(tmp_path: Path, plugin: Callab
     (folder / "sim-room-120-0_50_0.npz").write_bytes((folder / "sim-room-120-0_100_0.npz").read_bytes())
     with pytest.raises(InputError, match=r"_50_0_elsewhere.npz was made with method .*'digest': "):
         run(tmp_path / "run", f"methods=[{call}, {{name: folder, path: {folder}}}]")
+
+
+CLAIMING = """
+import numpy as np
+import l2p
+
+def attack(lines, says):
+    beta = np.zeros(len(lines))
+    return l2p.Recovery(lines.at(beta), np.linspace(0, 1, len(lines), dtype=np.float32), beta, calibrated=says)
+"""
+
+
+def test_a_calibration_is_that_of_recoveries_that_claim_a_probability(tmp_path: Path, tiny_checkpoint: Path) -> None:
+    (tmp_path / "claiming.py").write_text(CLAIMING)
+    sys.path.insert(0, str(tmp_path))
+    call = "name: call, path: 'claiming:attack'"
+    claims = {
+        "learned": f"{call}, arguments: {{says: false}}",
+        "heuristic": f"{call}, arguments: {{says: true}}",
+        "raised": f"{call}, arguments: {{says: false}}, calibrated: true",
+        "lowered": f"{call}, arguments: {{says: true}}, calibrated: false",
+        "tiny": f"name: learned, checkpoint: {tiny_checkpoint}",
+        "heuristic with sparse counts": "name: heuristic, density: 0.05",
+        "bound": "name: loo",
+    }
+    methods = ", ".join(f"{{{entry}, label: {label}}}" for label, entry in claims.items())
+    assert run(tmp_path / "run", f"methods=[{methods}]", "fractions=[1.0]") == 0
+    expected = dict.fromkeys(claims, False) | dict.fromkeys(("heuristic", "raised", "tiny"), True)
+    assert {row["method"]: row["calibration_error"] != "" for row in rows_of(tmp_path / "run")} == expected
+    curves = {
+        row["method"]: row["curves"] for row in json.loads((tmp_path / "run" / "results.json").read_text())["rows"]
+    }
+    assert {label: curves[label]["reliability"] is not None for label in claims} == expected
+    for label, claim in expected.items():
+        file = f"sim-room-120-0_100_0_{label.replace(' ', '-')}.npz"
+        assert l2p.load(tmp_path / "run" / "predictions" / file, Recovery).calibrated is claim
+    with pytest.raises(InputError, match=r"was made with method .*'calibrated': True"):
+        run(tmp_path / "run", f"methods=[{{{call}, arguments: {{says: false}}, label: raised}}]", "fractions=[1.0]")
 
 
 def test_a_users_answer_of_the_wrong_length_is_refused(

@@ -200,6 +200,9 @@ class Learned:
         If there are more rounds than calibrations.
     """
 
+    #: The confidence is the probability of lying within 1 spacing.
+    calibrated = True
+
     def __init__(
         self,
         network: LineTransformer,
