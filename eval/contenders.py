@@ -330,7 +330,10 @@ def imported(path: str) -> Callable[..., Any]:
 def as_recovery(answer: Any, lines: LineCloud, source: str, calibrated: bool | None = None) -> Recovery:
     """A user's answer as a Recovery; bare points are taken as they are, all with the same confidence."""
     points = answer.xyz if isinstance(answer, Recovery) else finite_rows("points", answer)
-    if len(points) != len(lines):
+    if isinstance(answer, Recovery) and not answer.one_each:
+        if answer.element.max() >= len(lines):
+            raise InputError(f"got element {answer.element.max()} of {source}; expected rows of the {len(lines)} lines")
+    elif len(points) != len(lines):
         raise InputError(f"got {len(points)} points of {source} for {len(lines)} lines; expected one a line, in order")
     if isinstance(answer, Recovery):
         return answer if calibrated is None else replace(answer, calibrated=calibrated)

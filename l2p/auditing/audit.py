@@ -24,7 +24,8 @@ from l2p.judging.provenance import machine, versions
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
-from l2p.schemes.uniform import lift_indexed
+from l2p.maps.truth import Truth
+from l2p.schemes.hide import hide
 from l2p.work.progress import NO_PROGRESS, Progress
 
 #: Shares of the points that are lifted unless others are asked for, from the whole map to a very sparse one.
@@ -66,8 +67,8 @@ class Trial:
     lines : LineCloud
     recovery : Recovery
         Without neighbours and affinities.
-    truth : (lines, 3) float64 or None
-        The points behind the lines, scene units; None if the audit was given a line cloud.
+    truth : Truth or None
+        The points behind the lines; None if the audit was given a line cloud.
     rgb : (lines, 3) uint8 or None
         Colours of the points behind the lines, for pictures; the attack does not see them.
     scores : Scores or None
@@ -80,7 +81,7 @@ class Trial:
     fraction: float
     lines: LineCloud
     recovery: Recovery
-    truth: Float[np.ndarray, "lines 3"] | None
+    truth: Truth | None
     rgb: UInt8[np.ndarray, "lines 3"] | None
     scores: Scores | None
     prediction: Prediction | None
@@ -242,17 +243,18 @@ def _trial(
     progress: Progress,
 ) -> Trial:
     """Lift a share of the scene, attack it, and score the attack."""
-    lines, index = lift_indexed(scene.xyz, seed=seed, fraction=fraction)
-    recovery = _attack(lines, fraction, settings, progress)
-    truth, rgb = scene.xyz[index], None if scene.rgb is None else scene.rgb[index]
-    error = errors(recovery.xyz, truth) / scale
+    hidden = hide(scene, seed, fraction)
+    truth = replace(hidden.truth, spacing=scale)
+    rgb = None if scene.rgb is None else scene.rgb[truth.index]
+    recovery = _attack(hidden.map, fraction, settings, progress)
+    error = errors(recovery, truth) / scale
     return Trial(
         fraction,
-        lines,
+        hidden.map,
         recovery,
         truth,
         rgb,
-        evaluate(recovery, truth, scale, metric=metric),
+        evaluate(recovery, truth, metric=metric),
         Prediction.of(recovery.confidence) if recovery.calibrated else None,
         measured(error, recovery.confidence, calibrated=recovery.calibrated),
     )

@@ -109,13 +109,13 @@ def _exhibit(trial: Trial, audit: Audit) -> Exhibit:
     """The layers of one attack."""
     recovery, truth = trial.recovery, trial.truth
     return Exhibit(
-        points=truth,
+        points=None if truth is None else truth.xyz,
         lines=trial.lines,
         recovered=recovery.xyz,
         rgb=trial.rgb,
         confidence=recovery.confidence,
         calibrated=audit.calibrated,
-        error=None if truth is None else errors(recovery.xyz, truth) / audit.spacing,
+        error=None if truth is None else errors(recovery, truth) / audit.spacing,
         camera_centers=audit.camera_centers,
     )
 

@@ -29,7 +29,19 @@ MEASURED = ("seconds", "peak_memory")
 # From dark blue (unsure) over green to yellow (sure); equal steps look about equal.
 _COLOURS = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], dtype=np.float64)
 
-_NAMES = ("xyz", "confidence", "beta", "rgb", "neighbors", "affinity", "kept", "info", "calibrated", "version")
+_NAMES = (
+    "xyz",
+    "confidence",
+    "beta",
+    "rgb",
+    "neighbors",
+    "affinity",
+    "kept",
+    "info",
+    "calibrated",
+    "element",
+    "version",
+)
 
 
 def save_recovery(recovery: Recovery, path: str | PathLike[str], *, overwrite: bool = False) -> None:
@@ -74,6 +86,7 @@ def load_recovery(path: str | PathLike[str]) -> Recovery:
         kept=fields.take_optional("kept", "b", (rows,)),
         info=info,
         calibrated=calibrated,
+        element=fields.take_element(rows),
     )
     _check_numbers(path, recovery)
     return recovery
@@ -99,6 +112,7 @@ def _npz_bytes(recovery: Recovery) -> bytes:
             "kept": recovery.kept,
             "info": np.array(json.dumps(info, sort_keys=True)),
             "calibrated": np.array(recovery.calibrated),
+            "element": None if recovery.one_each else recovery.element,
             "version": np.array(RECOVERY_VERSION),
         }
     )

@@ -37,6 +37,13 @@ class LineCloud:
     InputError
         If shapes differ, numbers are not finite or beyond 1e30, a direction has no length or a moment is not
         perpendicular to it.
+
+    Examples
+    --------
+    >>> import numpy as np, l2p
+    >>> lines = l2p.LineCloud.through(np.array([[0.0, 0, 2]]), direction=np.array([[1.0, 0, 0]]))
+    >>> lines.moment, lines.at(np.array([3.0]))
+    (array([[0., 2., 0.]]), array([[3., 0., 2.]]))
     """
 
     direction: Float[np.ndarray, "lines 3"]

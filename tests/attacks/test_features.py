@@ -43,7 +43,8 @@ class Scene(NamedTuple):
 def scene(scene_points: np.ndarray) -> Scene:
     """Estimates beside their points, and for each line some others; a few are padding."""
     draw = torch.Generator().manual_seed(0)
-    cloud, index = l2p.lift_indexed(scene_points[::5], seed=0)
+    hidden = l2p.hide(scene_points[::5], seed=0)
+    cloud, index = hidden.map, hidden.truth.index
     frame = Frame.of(cloud)
     lines = frame.enter(cloud, dtype=torch.float64)
     truth = frame.enter_points(scene_points[::5][index], dtype=torch.float64)

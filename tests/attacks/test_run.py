@@ -20,7 +20,7 @@ from l2p.geometry.frame import Frame
 from l2p.judging.accuracy import errors, spacing
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 
 
 @pytest.fixture(scope="module")
@@ -236,7 +236,8 @@ def test_an_installation_without_weights_says_so(truth, direction, monkeypatch, 
 
 def test_colours_and_settings_come_along(truth):
     rgb = np.random.default_rng(0).integers(0, 256, size=(200, 3)).astype(np.uint8)
-    lines, index = lift_indexed(truth[:200], seed=1, rgb=rgb)
+    hidden = hide(truth[:200], seed=1, rgb=rgb)
+    lines, index = hidden.map, hidden.truth.index
     result = recover(lines, method="heuristic", rounds=1, scene_kind="outdoor", density=0.05)
     np.testing.assert_array_equal(result.rgb, rgb[index])
     assert result.info["method"] == "heuristic" and result.info["device"] == "cpu"

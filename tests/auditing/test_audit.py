@@ -42,7 +42,8 @@ def test_each_fraction_is_attacked_once_from_the_largest_to_the_smallest(found):
 
 def test_lines_are_those_of_the_seed_and_scores_those_of_the_true_points(scene, found):
     for trial in found.trials:
-        lines, index = l2p.lift_indexed(scene.xyz, seed=4, fraction=trial.fraction)
+        hidden = l2p.hide(scene.xyz, seed=4, fraction=trial.fraction)
+        lines, index = hidden.map, hidden.truth.index
         np.testing.assert_array_equal(trial.lines.moment, lines.moment)
         assert trial.scores == l2p.evaluate(trial.recovery, scene.xyz[index], l2p.judging.accuracy.spacing(scene.xyz))
 

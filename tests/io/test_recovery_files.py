@@ -109,6 +109,7 @@ def test_colours_of_confidence_get_lighter():
         ({"info": np.array("3")}, "info that is a int; expected a JSON object"),
         ({"info": np.array({"a": 1}, dtype=object)}, "holds Python objects"),
         ({"rgb": np.zeros((12, 3))}, "rgb of type float64"),
+        ({"element": np.arange(12) - 1}, "element -1"),
         ({"calibrated": np.array(1)}, "calibrated of type int64; expected booleans"),
     ],
 )

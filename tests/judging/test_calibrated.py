@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,7 @@ def claims(recovery: l2p.Recovery, truth: l2p.Truth, folder: Path, capsys: pytes
         RANKS not in (folder / "view.html").read_text(encoding="utf-8"),
         "calibration error" in table,
         figures["calibration_error"] is not None,
-        l2p.evaluate(recovery, truth.xyz).calibration_error is not None,
+        l2p.evaluate(recovery, truth).calibration_error is not None,
     ]
 
 
@@ -73,9 +74,8 @@ def claims(recovery: l2p.Recovery, truth: l2p.Truth, folder: Path, capsys: pytes
 def test_names_do_not_matter(
     method: Method, name: str, scene: l2p.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    lines = l2p.lift(scene.xyz, seed=0)
-    truth = l2p.Truth(scene.xyz, torch.arange(120).numpy(), 0.5)
-    found = claims(run(lines, method, name=name), truth, tmp_path, capsys)
+    hidden = l2p.hide(scene, seed=0)
+    found = claims(run(hidden.map, method, name=name), replace(hidden.truth, spacing=0.5), tmp_path, capsys)
     assert found == [isinstance(method, CalibratedFeet)] * len(found)
 
 
@@ -96,7 +96,7 @@ def test_an_audit_claims_what_the_other_commands_claim(
     l2p.save_report(audit, tmp_path / "report")
     figures = json.loads((tmp_path / "report" / "audit.json").read_text())["trials"][0]
     page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
-    found = claims(trial.recovery, l2p.Truth(trial.truth, torch.arange(120).numpy(), 0.5), tmp_path, capsys)
+    found = claims(trial.recovery, trial.truth, tmp_path, capsys)
     found += [
         audit.calibrated,
         RANKS not in page,

@@ -121,7 +121,7 @@ def test_rows_are_what_the_measures_say_of_the_saved_prediction(tmp_path: Path) 
     run(tmp_path, "methods=[{name: oracle, k: 10}]")
     row = rows_of(tmp_path)[1]
     points = l2p.simulate("room", 120, 0).xyz
-    _, index = l2p.lift_indexed(points, 0, 0.5)
+    index = l2p.hide(points, 0, 0.5).truth.index
     recovery = l2p.load(tmp_path / "predictions" / "sim-room-120-0_50_0_oracle-10.npz", Recovery)
     scores = l2p.evaluate(recovery, points[index], l2p.judging.accuracy.spacing(points))
     assert float(row["median_spacings"]) == pytest.approx(scores.median_spacings)
@@ -196,7 +196,8 @@ def test_predictions_of_other_weights_are_not_mixed_in(tmp_path: Path, tiny_chec
 def test_the_learned_attack_is_told_the_density_and_nothing_of_the_truth(
     tiny_checkpoint: Path, scene_points: np.ndarray
 ) -> None:
-    lines, index = l2p.lift_indexed(scene_points, 0, 0.25)
+    hidden = l2p.hide(scene_points, 0, 0.25)
+    lines, index = hidden.map, hidden.truth.index
     contender: Any = contender_of({"name": "learned", "checkpoint": str(tiny_checkpoint)})
     found = [
         contender.recover(Trial("key", lines, truth, kind, 0.25, 0, "cpu"))
@@ -223,7 +224,7 @@ def test_a_users_points_and_recoveries_are_scored(tmp_path: Path, plugin: Callab
     folder = tmp_path / "elsewhere"
     folder.mkdir()
     for percent in (100, 50):
-        lines, _ = l2p.lift_indexed(l2p.simulate("room", 120, 0).xyz, 0, percent / 100)
+        lines = l2p.hide(l2p.simulate("room", 120, 0).xyz, 0, percent / 100).map
         zero = np.zeros(len(lines))
         l2p.save(
             Recovery(lines.at(zero + 0.5), np.ones(len(lines), np.float32), zero + 0.5),
@@ -236,7 +237,7 @@ def test_a_users_points_and_recoveries_are_scored(tmp_path: Path, plugin: Callab
     assert rows[0]["median"] == rows[1]["median"]
     assert float(rows[0]["seconds"]) > 0 and rows[1]["seconds"] == "", "the time of reading is not that of the method"
     assert rows[0]["neighbor_precision"] == "" and rows[0]["confidence_auc"] == "", "nothing is made up"
-    lines, _ = l2p.lift_indexed(l2p.simulate("room", 120, 0).xyz, 0)
+    lines = l2p.hide(l2p.simulate("room", 120, 0).xyz, 0).map
     bare = tmp_path / "bare"
     bare.mkdir()
     np.savez(bare / "sim-room-120-0_100_0.npz", xyz=lines.at(np.full(len(lines), 0.5)))
