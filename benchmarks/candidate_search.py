@@ -24,14 +24,15 @@ from l2p.geometry import nearest as search
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import TILE, Nearest, nearest_points_to_lines
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 
 
 def estimates(kind: str, count: int, strays: float) -> tuple[Lines, torch.Tensor, torch.Tensor]:
     """Lines of a simulated scene, an estimate on each, and the units of distances to them."""
     rng = np.random.default_rng(0)
     xyz = l2p.simulate(kind, points=count, seed=0).xyz
-    cloud, index = lift_indexed(xyz, 0, 1.0)
+    hidden = hide(xyz, 0, 1.0)
+    cloud, index = hidden.map, hidden.truth.index
     frame = Frame.of(cloud)
     lines = frame.enter(cloud, torch.device("cpu"))
     points = frame.enter_points(xyz[index], torch.device("cpu"))

@@ -55,7 +55,7 @@ from l2p.io import colmap, kinds, line_files, npz, ply, recovery_files, scene_fi
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
-from l2p.schemes.uniform import lift
+from l2p.schemes.hide import lift
 from l2p.show import exhibit, tables
 
 #: Every way in; each is tried on every file.

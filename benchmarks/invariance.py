@@ -21,7 +21,7 @@ import l2p
 from l2p.attacks.settings import METHODS
 from l2p.judging.accuracy import errors, spacing
 from l2p.maps.lines import LineCloud
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 from l2p.work.progress import terminal_progress
 
 
@@ -88,7 +88,8 @@ def main() -> None:
     print("| --- | --- | ---: | ---: | ---: | ---: |")
     for name in given.scenes:
         scene = l2p.load(name, l2p.Scene)
-        lines, index = lift_indexed(scene.xyz, 0, 1.0)
+        hidden = hide(scene.xyz, 0, 1.0)
+        lines, index = hidden.map, hidden.truth.index
         unit, truth = spacing(scene.xyz), scene.xyz[index]
         first = l2p.recover(lines, method=given.method, progress=terminal_progress())
         sure = first.confidence >= np.median(first.confidence)

@@ -16,13 +16,14 @@ import numpy as np
 import l2p
 from l2p.attacks.run import named_method, run
 from l2p.judging.accuracy import evaluate, spacing
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 
 
 def measured(lines: int, given: argparse.Namespace) -> str:
     """The row of a size."""
     xyz = l2p.simulate(given.kind, points=lines, seed=0).xyz
-    cloud, index = lift_indexed(xyz, 0, 1.0)
+    hidden = hide(xyz, 0, 1.0)
+    cloud, index = hidden.map, hidden.truth.index
     methods = (named_method("tomography"), named_method("learned", rounds=given.rounds))
     seconds: list[Sequence[float]] = []
     medians: list[float] = []

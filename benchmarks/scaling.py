@@ -17,7 +17,7 @@ import sys
 import l2p
 from l2p.attacks.settings import METHODS
 from l2p.judging.accuracy import evaluate, spacing
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 
 
 def peak_gib() -> float:
@@ -32,7 +32,8 @@ def measure(lines: int, given: argparse.Namespace) -> dict[str, float]:
 
     torch.set_num_threads(given.threads)
     xyz = l2p.simulate(given.kind, points=lines, seed=0).xyz
-    cloud, index = lift_indexed(xyz, 0, 1.0)
+    hidden = hide(xyz, 0, 1.0)
+    cloud, index = hidden.map, hidden.truth.index
     result = l2p.recover(cloud, method=given.method)
     peak = peak_gib()  # before the scoring, which needs memory of its own
     scores = evaluate(result, xyz[index], spacing(xyz))

@@ -141,7 +141,8 @@ def attack(points: Float[np.ndarray, "points 3"]) -> dict[str, float]:
     from l2p.attacks.run import run
     from l2p.judging.references import LeaveOneOut, Oracle
 
-    lines, index = l2p.lift_indexed(points, seed=0)
+    hidden = l2p.hide(points, seed=0)
+    lines, index = hidden.map, hidden.truth.index
     truth = points[index]
     methods: dict[str, Callable] = {
         "heuristic": Heuristic, "oracle": lambda: Oracle(truth, k=50), "loo": lambda: LeaveOneOut(truth),

@@ -60,8 +60,9 @@ class Room:
     @classmethod
     def make(cls) -> Room:
         scene = l2p.simulate("room", points=POINTS, seed=SEED)
-        lines, index = l2p.lift_indexed(scene.xyz, seed=SEED)
-        frame, truth = Frame.of(lines), scene.xyz[index]
+        hidden = l2p.hide(scene, seed=SEED)
+        lines, truth = hidden.map, hidden.truth.xyz
+        frame = Frame.of(lines)
         unit = spacing(scene.xyz) / frame.unit
         return cls(scene, lines, truth, frame, frame.enter(lines), frame.enter_points(truth), unit)
 

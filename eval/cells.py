@@ -11,11 +11,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
 
 from eval.capacity import measured_peak
 from eval.contenders import Contender, Trial, identity_of
@@ -24,9 +23,10 @@ from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.recovery_files import save_recovery
 from l2p.maps.recovery import Recovery
+from l2p.maps.truth import Hiding
 from l2p.programs.commits import commit, source_digest
-from l2p.programs.scenes import Loaded, SceneSource, load
-from l2p.schemes.uniform import lift_indexed
+from l2p.programs.scenes import SceneSource, load
+from l2p.schemes.hide import hide
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,15 @@ class Cell:
 
     def trial(self) -> Trial:
         """The line cloud, and the truth for references."""
-        xyz = load(self.scene.source).xyz
-        lines, index = lift_indexed(xyz, self.seed, self.fraction)
-        return Trial(self.cloud_key, lines, xyz[index], self.scene.kind, self.fraction, self.seed, self.device)
+        hidden = self.hidden()
+        points = hidden.truth.xyz
+        return Trial(self.cloud_key, hidden.map, points, self.scene.kind, self.fraction, self.seed, self.device)
+
+    def hidden(self) -> Hiding:
+        """The line cloud and the truth, with the spacing of the whole scene."""
+        scene = load(self.scene.source)
+        hidden = hide(scene.xyz, self.seed, self.fraction)
+        return replace(hidden, truth=replace(hidden.truth, spacing=scene.spacing))
 
     def identity(self) -> dict[str, Any]:
         """All that the prediction depends on, but for the code."""
@@ -196,21 +202,6 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_bytes())
     except ValueError as error:
         raise InputError(f"{path} is damaged; delete it, and the same command makes it anew") from error
-
-
-class Behind(NamedTuple):
-    """What is behind the lines of a cell, in their order: the scene, its points, and their rows in the scene."""
-
-    scene: Loaded
-    truth: Float[np.ndarray, "lines 3"]
-    index: Int[np.ndarray, " lines"]
-
-
-def truth_of(cell: Cell) -> Behind:
-    """What is behind the lines of a cell."""
-    scene = load(cell.scene.source)
-    _, index = lift_indexed(scene.xyz, cell.seed, cell.fraction)
-    return Behind(scene, scene.xyz[index], index)
 
 
 def _compact(recovery: Recovery) -> Recovery:

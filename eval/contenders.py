@@ -10,7 +10,7 @@ import hashlib
 import importlib
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -62,11 +62,6 @@ class Contender(Protocol):
         """What tables call it; unique in a run."""
         ...
 
-    @property
-    def calibrated(self) -> bool:
-        """Whether its confidence is meant as the probability of lying within 1 spacing, and not only to rank."""
-        ...
-
     def files(self, cloud: str) -> dict[str, str]:
         """Digests of the files that it reads for a line cloud of that name: a prediction depends on them, too."""
         ...
@@ -83,7 +78,6 @@ class Peer:
     label: str = ""
     knows_truth: ClassVar[bool] = False
     timed: ClassVar[bool] = True
-    calibrated: ClassVar[bool] = False
 
     def build(self, trial: Trial) -> Attack:
         """The method for this trial."""
@@ -105,7 +99,6 @@ class LearnedContender(Peer):
     label: str = "learned"
     checkpoint: str | None = None
     rounds: int | None = None
-    calibrated: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         checkpoint.load(self.file, rounds=self.rounds)  # refused before any work
@@ -211,12 +204,15 @@ class LeaveOneOutContender(Peer):
 
 @dataclass(frozen=True)
 class CallContender:
-    """A user's own: a callable that takes a LineCloud and ``arguments`` and returns points (lines, 3) or a Recovery."""
+    """A user's own: a callable that takes a LineCloud and ``arguments`` and returns points (lines, 3) or a Recovery.
+
+    ``calibrated`` says whether the confidence is a probability; None leaves what the Recovery says.
+    """
 
     path: str
     label: str = ""
     arguments: dict[str, Any] = field(default_factory=dict)
-    calibrated: bool = False
+    calibrated: bool | None = None
     knows_truth: ClassVar[bool] = False
     timed: ClassVar[bool] = True
 
@@ -226,7 +222,8 @@ class CallContender:
 
     def recover(self, trial: Trial) -> Recovery:
         """Call it with the lines alone."""
-        return as_recovery(imported(self.path)(trial.lines, **self.arguments), trial.lines, self.path)
+        answer = imported(self.path)(trial.lines, **self.arguments)
+        return as_recovery(answer, trial.lines, self.path, self.calibrated)
 
     def files(self, cloud: str) -> dict[str, str]:
         """None: like that of l2p, its code may change between cells."""
@@ -236,11 +233,14 @@ class CallContender:
 @dataclass(frozen=True)
 class FolderContender:
     """Recoveries, or bare points in the order of the lines, made elsewhere: ``FOLDER/SCENE_PERCENT_SEED.npz`` of lines
-    by ``l2p lift --fraction F --seed S``."""
+    by ``l2p lift --fraction F --seed S``.
+
+    ``calibrated`` says whether the confidence is a probability; None leaves what the files say.
+    """
 
     path: str
     label: str = ""
-    calibrated: bool = False
+    calibrated: bool | None = None
     knows_truth: ClassVar[bool] = False
     timed: ClassVar[bool] = False
 
@@ -251,7 +251,8 @@ class FolderContender:
         """Read it; of a file with nothing but points, these, all with the same confidence."""
         file = self._file(trial.key)
         bare = kind_of(file) is Kind.SCENE_NPZ
-        return as_recovery(load_scene(file).xyz if bare else load_recovery(file), trial.lines, str(file))
+        answer = load_scene(file).xyz if bare else load_recovery(file)
+        return as_recovery(answer, trial.lines, str(file), self.calibrated)
 
     def files(self, cloud: str) -> dict[str, str]:
         """The recovery's digest."""
@@ -306,7 +307,9 @@ def contender_of(entry: dict[str, Any]) -> Contender:
 
 def identity_of(contender: Contender, cloud: str) -> dict[str, Any]:
     """All that a prediction for that line cloud depends on, but for the code: parameters, and digests of files."""
-    parameters = {key: value for key, value in asdict(contender).items() if key != "calibrated"}  # type: ignore[call-overload]
+    parameters = asdict(contender)  # type: ignore[call-overload]
+    if parameters.get("calibrated", 0) is None:
+        del parameters["calibrated"]  # records of earlier versions have no such entry
     return {"class": type(contender).__name__, **parameters, **contender.files(cloud)}
 
 
@@ -324,15 +327,18 @@ def imported(path: str) -> Callable[..., Any]:
     return found
 
 
-def as_recovery(answer: Any, lines: LineCloud, source: str) -> Recovery:
-    """What a user's method gave as a Recovery; bare points are taken as they are, all with the same confidence."""
+def as_recovery(answer: Any, lines: LineCloud, source: str, calibrated: bool | None = None) -> Recovery:
+    """A user's answer as a Recovery; bare points are taken as they are, all with the same confidence."""
     points = answer.xyz if isinstance(answer, Recovery) else finite_rows("points", answer)
-    if len(points) != len(lines):
+    if isinstance(answer, Recovery) and not answer.one_each:
+        if answer.element.max() >= len(lines):
+            raise InputError(f"got element {answer.element.max()} of {source}; expected rows of the {len(lines)} lines")
+    elif len(points) != len(lines):
         raise InputError(f"got {len(points)} points of {source} for {len(lines)} lines; expected one a line, in order")
     if isinstance(answer, Recovery):
-        return answer
+        return answer if calibrated is None else replace(answer, calibrated=calibrated)
     beta = np.sum((points - lines.origin) * lines.direction, axis=1)
-    return Recovery(points, np.ones(len(points), dtype=np.float32), beta)
+    return Recovery(points, np.ones(len(points), dtype=np.float32), beta, calibrated=bool(calibrated))
 
 
 def _default_label(contender: Any, label: str) -> None:

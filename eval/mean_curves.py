@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from l2p.judging.accuracy import affinity_precision, reliability, right_neighbors, risk_coverage
+from l2p.judging.accuracy import Outcome, affinity_precision, reliability, right_neighbors, risk_coverage
 from l2p.maps.recovery import Recovery
+from l2p.maps.truth import Truth
 
 #: Thresholds of the error's distribution function, in spacings.
 THRESHOLDS = np.geomspace(0.01, 100, 81)
@@ -36,29 +37,24 @@ def distribution(error: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " thre
 
 
 def curves_of(
-    recovery: Recovery,
-    error: Float[np.ndarray, " lines"],
+    found: Outcome,
     right: Bool[np.ndarray, "lines k"] | None,
-    calibrated: bool,
 ) -> dict[str, Any]:
     """Every curve of a prediction, as plain lists; None for what the prediction does not have.
 
     Parameters
     ----------
-    error
-        Spacings.
     right
         Which neighbours are true; None without neighbours.
-    calibrated
-        Whether the confidence is meant as a probability: only then has it a reliability.
     """
+    error, confidence = found.spacings, found.confidence
     inside = error <= 1
-    ranks = recovery.confidence.min() < recovery.confidence.max()
+    ranks = confidence.min() < confidence.max()
     return {
         "within": _plain(distribution(error)),
-        "risk": _plain(sampled_risk(recovery.confidence, inside)) if ranks else None,
-        "reliability": _plain(sampled_reliability(recovery.confidence, inside)) if calibrated else None,
-        "neighbors": None if right is None else _plain(sampled_precision(recovery, right)),
+        "risk": _plain(sampled_risk(confidence, inside)) if ranks else None,
+        "reliability": _plain(sampled_reliability(confidence, inside)) if found.recovery.calibrated else None,
+        "neighbors": None if right is None else _plain(sampled_precision(found.recovery, right)),
     }
 
 
@@ -86,9 +82,11 @@ def sampled_precision(recovery: Recovery, right: Bool[np.ndarray, "lines k"]) ->
     return affinity_precision(affinity[used], right[used], SHARES) if used.any() else np.zeros(len(SHARES))
 
 
-def found_neighbors(recovery: Recovery, truth: Float[np.ndarray, "lines 3"]) -> Bool[np.ndarray, "lines k"] | None:
-    """Which neighbours are true; None without neighbours."""
-    return None if recovery.neighbors is None else right_neighbors(recovery.neighbors, truth)
+def found_neighbors(recovery: Recovery, truth: Truth) -> Bool[np.ndarray, "lines k"] | None:
+    """Which neighbours are true; None without neighbours, and where lines hide two points or none."""
+    if recovery.neighbors is None or not (recovery.one_each and truth.one_each):
+        return None
+    return right_neighbors(recovery.neighbors, truth.xyz)
 
 
 def pooled_reliability(curves: Iterable[Any]) -> Diagram:

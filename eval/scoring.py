@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eval.cells import Cell, Store, read_json, truth_of, write_json
+from eval.cells import Cell, Store, read_json, write_json
 from eval.mean_curves import SHARES, THRESHOLDS, curves_of, found_neighbors
 from l2p.io.atomic import atomic_file
 from l2p.io.recovery_files import load_recovery
-from l2p.judging.accuracy import errors, evaluate, neighbor_scores
+from l2p.judging.accuracy import compare, evaluate, neighbor_scores
 from l2p.maps.recovery import Recovery
 from l2p.programs.commits import source_digest
 
@@ -58,16 +58,15 @@ def write_results(store: Store, rows: list[Row], about: dict[str, Any]) -> None:
 
 
 def _stamp(cell: Cell, store: Store) -> str:
-    measures = f"{ROW_VERSION} {cell.contender.calibrated} {source_digest('judging')}"
+    measures = f"{ROW_VERSION} {source_digest('judging')}"
     return hashlib.sha256(store.record(cell).read_bytes() + measures.encode()).hexdigest()[:16]
 
 
 def _row(cell: Cell, store: Store) -> Row:
     recovery, record = load_recovery(store.prediction(cell)), read_json(store.record(cell))
-    scene, truth, _ = truth_of(cell)
-    scores = evaluate(recovery, truth, scene.spacing)
-    error = errors(recovery.xyz, truth) / scene.spacing
-    right = found_neighbors(recovery, truth)
+    found = compare(recovery, cell.hidden().truth)
+    scores, error = evaluate(recovery, found.truth), found.spacings
+    right = found_neighbors(recovery, found.truth)
     return {
         "scene": cell.scene.name,
         "kind": cell.scene.kind,
@@ -80,14 +79,14 @@ def _row(cell: Cell, store: Store) -> Row:
         "mean": scores.mean,
         "median_spacings": scores.median_spacings,
         **{f"within_{limit}": share for limit, share in scores.within_spacings.items()},
-        **_confidence_figures(recovery.confidence, error <= 1, scores),
-        **_neighbor_figures(recovery, truth, right),
+        **_confidence_figures(found.confidence, error <= 1, scores),
+        **_neighbor_figures(recovery, found.truth.xyz, right),
         "seconds": record["seconds"],
         "peak_gib": record.get("peak_gib"),
         "made": record["made"],
         "commit": record["commit"],
         "code": record["code"],
-        "curves": curves_of(recovery, error, right, cell.contender.calibrated),
+        "curves": curves_of(found, right),
     }
 
 
@@ -119,7 +118,7 @@ def ranking(confidence: Float[np.ndarray, " lines"], inside: Bool[np.ndarray, " 
 def _neighbor_figures(
     recovery: Recovery, truth: Float[np.ndarray, "lines 3"], right: Bool[np.ndarray, "lines k"] | None
 ) -> Row:
-    if recovery.neighbors is None:
+    if recovery.neighbors is None or right is None:
         return dict.fromkeys(("neighbor_precision", "under_half_outliers", "neighbors_used"))
     scores = neighbor_scores(recovery.neighbors, truth, recovery.affinity, right)
     return {

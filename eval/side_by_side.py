@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eval.cells import Cell, Store, truth_of
+from eval.cells import Cell, Store
 from eval.eval_config import Pictures
 from eval.figures import Drawing
 from eval.scoring import Row
 from l2p.errors import InputError
 from l2p.io.recovery_files import load_recovery
-from l2p.judging.accuracy import errors
+from l2p.judging.accuracy import compare
 from l2p.maps.scene import Scene
 from l2p.programs.scenes import SceneSource, scene_at
 from l2p.show.pictures import ERROR_LIMIT, Box, Camera, draw_points
@@ -92,17 +92,19 @@ def _picture(cells: Sequence[Cell], rows: Sequence[Row], store: Store, color: st
     source, fraction = cells[0].scene, cells[0].fraction
     scene = scene_at(source.source)
     view = View.of(scene, upright=source.source.startswith("sim:"))
-    loaded, truth, index = truth_of(cells[0])
+    behind = cells[0].hidden().truth
+    truth, index = behind.xyz, behind.index
     by_rgb = color == "rgb" and scene.rgb is not None
     paint = np.full((len(index), 3), _rgb(PLAIN)) if scene.rgb is None else (scene.rgb[index] / 255) ** DARKER
     size = float(np.clip(SIZE * np.sqrt(10_000 / len(truth)), *SIZES))
     limits = _limits(view, truth)
     across, upward = limits[1] - limits[0]
     figure, panels = _panels(len(cells) + 1, float(np.clip(upward / across, *HEIGHTS)))
-    _draw(panels[0], view, truth, paint, size, limits, f"true points\n{len(truth)} of {len(loaded.xyz)}")
+    _draw(panels[0], view, truth, paint, size, limits, f"true points\n{len(truth)} of {len(scene)}")
     for panel, cell, row in zip(panels[1:], cells, rows, strict=True):
-        points = load_recovery(store.prediction(cell)).xyz
-        shade = paint if by_rgb else _error_colors(errors(points, truth) / loaded.spacing)
+        found = compare(load_recovery(store.prediction(cell)), behind)
+        points = found.recovery.xyz
+        shade = paint if by_rgb else _error_colors(found.spacings)
         heading = f"{cell.contender.label}\nmedian {row['median_spacings']:.2f}, {row['within_1']:.0%} within 1 spacing"
         _draw(panel, view, points, shade, size, limits, heading)
     if not by_rgb:

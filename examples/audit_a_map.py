@@ -35,23 +35,22 @@ def main() -> None:
         scene = l2p.load(arguments.map, l2p.Scene)
     unit = spacing(scene.xyz)
 
-    # The line cloud: what would be published. `index` says which point is behind each line, and stays with the owner.
-    lines, index = l2p.lift_indexed(scene.xyz, fraction=arguments.fraction)
-    truth = scene.xyz[index]
-    l2p.save(lines, folder / "lines.npz", overwrite=True)
+    # The line cloud: what would be published. The truth, which point is behind each line, stays with the owner.
+    hidden = l2p.hide(scene, fraction=arguments.fraction)
+    l2p.save(hidden.map, folder / "lines.npz", overwrite=True)
 
     # The attack: what anybody can compute from the lines.
-    recovery = l2p.recover(lines, method=arguments.method)
+    recovery = l2p.recover(hidden.map, method=arguments.method)
     l2p.save(recovery, folder / "recovered.ply", overwrite=True)
 
     # The verdict: by the owner, who knows the truth.
-    scores = l2p.evaluate(recovery, truth, unit)
+    scores = l2p.evaluate(recovery, hidden.truth, unit)
     print(f"{scores.lines} lines, spacing {unit:.3g}")
     print(f"median error: {scores.median:.3g}, which is {scores.median_spacings:.2f} spacings")
     print(f"within 1 spacing: {scores.within_spacings['1']:.0%} of all points,", end=" ")
     print(f"{scores.confident_half:.0%} of the most confident half")
 
-    draw(folder / "audit.png", truth, recovery.xyz, errors(recovery.xyz, truth) / unit)
+    draw(folder / "audit.png", hidden.truth.xyz, recovery.xyz, errors(recovery, hidden.truth) / unit)
     print(f"Look at {folder / 'audit.png'}, and at {folder / 'recovered.ply'} in any viewer.")
 
 

@@ -23,14 +23,15 @@ if TYPE_CHECKING:
     from l2p.maps.lines import LineCloud
     from l2p.maps.recovery import Recovery
     from l2p.maps.scene import Scene
-    from l2p.maps.truth import Truth
-    from l2p.schemes.uniform import lift, lift_indexed
+    from l2p.maps.truth import Hiding, Truth
+    from l2p.schemes.hide import hide, lift
     from l2p.simulator import simulate
     from l2p.version import __version__
 
 # Public names are loaded on first use (PEP 562), so that `import l2p` and `l2p --help` do not wait for torch.
 _HOME = {
     "Audit": "l2p.auditing.audit",
+    "Hiding": "l2p.maps.truth",
     "InputError": "l2p.errors",
     "LineCloud": "l2p.maps.lines",
     "Recovery": "l2p.maps.recovery",
@@ -39,8 +40,8 @@ _HOME = {
     "__version__": "l2p.version",
     "audit": "l2p.auditing.audit",
     "evaluate": "l2p.judging.accuracy",
-    "lift": "l2p.schemes.uniform",
-    "lift_indexed": "l2p.schemes.uniform",
+    "hide": "l2p.schemes.hide",
+    "lift": "l2p.schemes.hide",
     "load": "l2p.io.files",
     "recover": "l2p.attacks.run",
     "save": "l2p.io.files",

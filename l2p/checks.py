@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from l2p.errors import InputError
 
@@ -26,6 +26,18 @@ def finite_rows(name: str, value: object) -> Float[np.ndarray, "lines 3"]:
     array = array.astype(np.float64)
     _refuse(np.asarray(~in_range(array).all(axis=1)), f"{name} that is {OUT_OF_RANGE}", "remove the line")
     return array
+
+
+def element_rows(value: object, rows: int) -> Int[np.ndarray, " rows"]:
+    """``value`` as the element (line) of each row, int64; None gives every row its own."""
+    if value is None:
+        return np.arange(rows)
+    array = np.asarray(value)
+    if array.dtype.kind not in "iu" or array.shape != (rows,):
+        raise InputError(f"got element of type {array.dtype}, shape {array.shape}; expected integers, one for each row")
+    if array.min(initial=0) < 0:
+        raise InputError(f"got element {array.min()}; expected rows of the lines, counted from 0")
+    return array.astype(np.int64)
 
 
 def in_range(array: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:

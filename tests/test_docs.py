@@ -115,7 +115,8 @@ def small_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     simulate_model("room", 400, 0).save_colmap(model)
     shutil.copytree(model, folder / "MODEL")
     scene = l2p.load(model, l2p.Scene)
-    lines, index = l2p.lift_indexed(scene.xyz, seed=0)
+    hidden = l2p.hide(scene.xyz, seed=0)
+    lines, index = hidden.map, hidden.truth.index
     l2p.save(lines, folder / "lines.npz")
     l2p.save(l2p.Truth(scene.xyz[index], index, 0.5), folder / "truth.npz")
     l2p.save(l2p.recover(lines, method="tomography"), folder / "recovered.npz")

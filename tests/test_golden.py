@@ -29,7 +29,8 @@ def recovered(scene: str, method: str) -> dict[str, Any]:
     """Digest and figures of an attack."""
     kind, points, seed, fraction = SCENES[scene]
     xyz = l2p.simulate(kind, points, seed).xyz
-    lines, index = l2p.lift_indexed(xyz, seed=seed, fraction=fraction)
+    hidden = l2p.hide(xyz, seed=seed, fraction=fraction)
+    lines, index = hidden.map, hidden.truth.index
     result = l2p.recover(lines, method=method)
     scores = l2p.evaluate(result, xyz[index])
     digest = hashlib.sha256()

@@ -115,7 +115,7 @@ assert not code, code
 def test_public_names_are_found_also_after_their_modules_are_loaded():
     names = " ".join(l2p.__all__)
     code = f"""
-import l2p, l2p.attacks.run, l2p.cli.commands, l2p.schemes.uniform, types
+import l2p, l2p.attacks.run, l2p.cli.commands, l2p.schemes.hide, types
 for name in "{names}".split():
     assert not isinstance(getattr(l2p, name), types.ModuleType), name
 """
@@ -172,8 +172,8 @@ def test_shipped_weights_are_installed_beside_the_code_and_say_how_they_were_mad
 
 def test_shipped_weights_recover_a_room():
     points = l2p.simulate("room", 800, seed=5).xyz
-    lines, index = l2p.lift_indexed(points, seed=5)
-    assert l2p.evaluate(l2p.recover(lines), points[index]).within_spacings["1"] > 0.6
+    hidden = l2p.hide(points, seed=5)
+    assert l2p.evaluate(l2p.recover(hidden.map), hidden.truth).within_spacings["1"] > 0.6
 
 
 @pytest.mark.parametrize("file", modules(), ids=lambda file: str(file.relative_to(ROOT)))

@@ -20,7 +20,7 @@ from l2p.geometry.points import nearest_neighbors
 from l2p.io.scene_files import load_scene
 from l2p.judging.accuracy import spacing
 from l2p.maps.scene import Scene
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 from l2p.simulator import simulate
 from train.losses import Sample, soft_labels
 
@@ -83,10 +83,10 @@ class Cloud:
 def lifted(source: CloudSource, attack: Learned, device: torch.device | str = "cpu") -> Cloud:
     """Lift the cloud of a source, the same each time, and do the attack's tomography."""
     points = read(source.scene).xyz
-    lines, index = lift_indexed(points, source.seed, source.fraction)
+    hidden = hide(points, source.seed, source.fraction)
+    lines, truth = hidden.map, hidden.truth.xyz
     frame = Frame.of(lines)
     inside = frame.enter(lines, device)
-    truth = points[index]
     near = nearest_neighbors(truth, TRUE_NEIGHBORS, workers=torch.get_num_threads()).distance[:, -1]
     point = frame.enter_points(truth, device)
     posterior = reconstruct(inside, attack.config.tomography)

@@ -152,7 +152,9 @@ def run(
         _check_same(work.shards, attack, where)
         _send(elements, work.shards)
         estimate = _in_map_order(_collected(locate(attack, elements, work), len(elements), work), elements.row)
-    beta = frame.leave(lines, estimate.beta)
+    element = np.arange(len(lines)) if estimate.element is None else estimate.element.cpu().numpy()
+    placed = lines if estimate.element is None else lines.rows(element)
+    beta = frame.leave(placed, estimate.beta)
     info = {
         "method": name or type(attack).__name__,
         "settings": attack.settings(),
@@ -160,13 +162,15 @@ def run(
         "seconds": time.perf_counter() - began,
     }
     return Recovery(
-        xyz=lines.at(beta),
+        xyz=placed.at(beta),
         confidence=estimate.confidence.float().cpu().numpy(),
         beta=beta,
-        rgb=lines.rgb,
+        rgb=placed.rgb,
         neighbors=estimate.neighbors.cpu().numpy().astype(np.int64),
         affinity=estimate.affinity.float().cpu().numpy(),
         info=info,
+        calibrated=attack.calibrated,
+        element=element,
     )
 
 

@@ -14,9 +14,5 @@ SETTINGS = {
     "scene_kind": ("heuristic",),
 }
 
-#: Methods whose confidence is a probability, calibrated on held-back maps; that of the others only ranks.
-CALIBRATED = ("learned",)
-RANKING = tuple(name for name in METHODS if name not in CALIBRATED)
-
 #: What the heuristic's table of neighbours distinguishes.
 SCENE_KINDS = ("indoor", "outdoor")

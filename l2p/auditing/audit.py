@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, UInt8
 
 from l2p.attacks.run import recover
-from l2p.attacks.settings import CALIBRATED, DEFAULT_METHOD, SETTINGS
+from l2p.attacks.settings import DEFAULT_METHOD, SETTINGS
 from l2p.errors import InputError
 from l2p.judging.accuracy import Scores, errors, evaluate, spacing
 from l2p.judging.curves import COVERAGE, THRESHOLDS, Curves, measured, predicted
@@ -24,7 +24,8 @@ from l2p.judging.provenance import machine, versions
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
-from l2p.schemes.uniform import lift_indexed
+from l2p.maps.truth import Truth
+from l2p.schemes.hide import hide
 from l2p.work.progress import NO_PROGRESS, Progress
 
 #: Shares of the points that are lifted unless others are asked for, from the whole map to a very sparse one.
@@ -66,8 +67,8 @@ class Trial:
     lines : LineCloud
     recovery : Recovery
         Without neighbours and affinities.
-    truth : (lines, 3) float64 or None
-        The points behind the lines, scene units; None if the audit was given a line cloud.
+    truth : Truth or None
+        The points behind the lines; None if the audit was given a line cloud.
     rgb : (lines, 3) uint8 or None
         Colours of the points behind the lines, for pictures; the attack does not see them.
     scores : Scores or None
@@ -80,7 +81,7 @@ class Trial:
     fraction: float
     lines: LineCloud
     recovery: Recovery
-    truth: Float[np.ndarray, "lines 3"] | None
+    truth: Truth | None
     rgb: UInt8[np.ndarray, "lines 3"] | None
     scores: Scores | None
     prediction: Prediction | None
@@ -135,7 +136,7 @@ class Audit:
     @property
     def calibrated(self) -> bool:
         """Whether the confidence is the probability of lying within 1 spacing."""
-        return self.method in CALIBRATED
+        return self.trials[0].recovery.calibrated
 
     def as_dict(self) -> dict[str, Any]:
         """All figures, settings and versions as plain values, for a JSON file."""
@@ -242,29 +243,28 @@ def _trial(
     progress: Progress,
 ) -> Trial:
     """Lift a share of the scene, attack it, and score the attack."""
-    lines, index = lift_indexed(scene.xyz, seed=seed, fraction=fraction)
-    recovery = _attack(lines, fraction, settings, progress)
-    truth, rgb = scene.xyz[index], None if scene.rgb is None else scene.rgb[index]
-    calibrated = settings["method"] in CALIBRATED
-    error = errors(recovery.xyz, truth) / scale
+    hidden = hide(scene, seed, fraction)
+    truth = replace(hidden.truth, spacing=scale)
+    rgb = None if scene.rgb is None else scene.rgb[truth.index]
+    recovery = _attack(hidden.map, fraction, settings, progress)
+    error = errors(recovery, truth) / scale
     return Trial(
         fraction,
-        lines,
+        hidden.map,
         recovery,
         truth,
         rgb,
-        evaluate(recovery, truth, scale, metric=metric),
-        Prediction.of(recovery.confidence) if calibrated else None,
-        measured(error, recovery.confidence, calibrated=calibrated),
+        evaluate(recovery, truth, metric=metric),
+        Prediction.of(recovery.confidence) if recovery.calibrated else None,
+        measured(error, recovery.confidence, calibrated=recovery.calibrated),
     )
 
 
 def _audit_lines(lines: LineCloud, settings: dict[str, Any], metric: bool, progress: Progress, name: str) -> Audit:
     """Attack a line cloud whose points nobody knows."""
     recovery = _attack(lines, 1.0, settings, progress)
-    calibrated = settings["method"] in CALIBRATED
-    curves = predicted(recovery.confidence) if calibrated else Curves([], [], [], [])
-    prediction = Prediction.of(recovery.confidence) if calibrated else None
+    curves = predicted(recovery.confidence) if recovery.calibrated else Curves([], [], [], [])
+    prediction = Prediction.of(recovery.confidence) if recovery.calibrated else None
     trial = Trial(1.0, lines, recovery, None, lines.rgb, None, prediction, curves)
     return Audit(name, len(lines), spacing(recovery.xyz), (trial,), settings["method"], None, metric)
 

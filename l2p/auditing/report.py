@@ -54,7 +54,24 @@ def save_report(
     command: str | None = None,
     most_points: int = MOST_POINTS,
 ) -> None:
-    """Write the report; see :meth:`l2p.auditing.audit.Audit.save`. ``most_points`` of each cloud are in the view."""
+    """Write the report of an audit: a page to look at, and all figures as JSON.
+
+    Parameters
+    ----------
+    folder : path
+        Written whole or not at all; it holds ``index.html`` and ``audit.json``.
+    overwrite : bool
+        Replace the folder of an earlier report.
+    command : str, optional
+        The command line that gives this audit again, for the page.
+    most_points : int
+        Points of each cloud in the view; the figures count all.
+
+    Raises
+    ------
+    InputError
+        If the folder must not be replaced or cannot be written.
+    """
     with atomic_folder(folder, overwrite=overwrite, replaceable=frozenset(FILES)) as place:
         figures = figures_of(audit, command)
         (place / FIGURES).write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
@@ -92,13 +109,13 @@ def _exhibit(trial: Trial, audit: Audit) -> Exhibit:
     """The layers of one attack."""
     recovery, truth = trial.recovery, trial.truth
     return Exhibit(
-        points=truth,
+        points=None if truth is None else truth.xyz,
         lines=trial.lines,
         recovered=recovery.xyz,
         rgb=trial.rgb,
         confidence=recovery.confidence,
         calibrated=audit.calibrated,
-        error=None if truth is None else errors(recovery.xyz, truth) / audit.spacing,
+        error=None if truth is None else errors(recovery, truth) / audit.spacing,
         camera_centers=audit.camera_centers,
     )
 

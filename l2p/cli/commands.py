@@ -9,12 +9,9 @@ import webbrowser
 from argparse import Namespace
 from collections.abc import Iterable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Bool, Int, UInt8
-
-from l2p.attacks.settings import RANKING
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
 from l2p.cli.recover import recover as recover
 from l2p.errors import InputError
@@ -24,11 +21,8 @@ from l2p.io.line_files import line_ending, load_lines, save_lines
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth, truth_bytes
 from l2p.judging.accuracy import evaluate as score
-from l2p.judging.accuracy import spacing
-from l2p.maps.recovery import Recovery
-from l2p.maps.scene import Scene
-from l2p.maps.truth import Truth
-from l2p.schemes.uniform import lift_indexed
+from l2p.judging.accuracy import matched, spacing
+from l2p.schemes.hide import hide
 from l2p.show.tables import print_info, print_scores
 from l2p.work.progress import terminal_progress
 
@@ -38,34 +32,31 @@ def lift(arguments: Namespace) -> None:
     check_outputs([arguments.scene], [arguments.output, arguments.truth], arguments.force)
     line_ending(arguments.output)
     scene = load_scene(arguments.scene)
-    cloud, index = lift_indexed(
-        scene.xyz,
-        seed=arguments.seed,
-        fraction=arguments.fraction,
-        scheme=arguments.scheme,
-        rgb=_colours(arguments, scene.rgb),
-    )
+    if arguments.rgb and scene.rgb is None:
+        raise InputError(f"{arguments.scene} has no colours; leave out --rgb")
+    hidden = hide(scene, arguments.seed, arguments.fraction, arguments.scheme, rgb=arguments.rgb)
     with ExitStack() as stack:
         if arguments.truth is not None:
             # Renamed after the lines are in place, so that a failure leaves neither.
             file = stack.enter_context(atomic_file(arguments.truth, overwrite=arguments.force))
-            file.write(truth_bytes(_truth(scene, index, arguments.seed)))
-        save_lines(cloud, arguments.output, overwrite=arguments.force)
-    print(f"{arguments.output}: {len(cloud)} lines of {len(scene)} points")
+            file.write(truth_bytes(replace(hidden.truth, spacing=spacing(scene.xyz))))
+        save_lines(hidden.map, arguments.output, overwrite=arguments.force)
+    print(f"{arguments.output}: {len(hidden.map)} lines of {len(scene)} points")
 
 
 def evaluate(arguments: Namespace) -> None:
     """``l2p evaluate``."""
     check_outputs([arguments.recovery, arguments.truth], [file_of(arguments.json)], arguments.force)
     recovery, truth = load_recovery(arguments.recovery), load_truth(arguments.truth)
-    columns = {"all": score(recovery, truth.xyz, truth.spacing, metric=arguments.metric)}
+    columns = {"all": score(recovery, truth, metric=arguments.metric)}
     if recovery.kept is not None and recovery.kept.any():
-        some = _rows(recovery, recovery.kept)
-        columns["kept"] = score(some, truth.xyz[recovery.kept], truth.spacing, metric=arguments.metric)
+        row = matched(recovery, truth)
+        some = truth.rows((row >= 0) & recovery.kept[row])
+        columns["kept"] = score(recovery.rows(recovery.kept), some, metric=arguments.metric)
     with figures_file(arguments, {name: scores.as_dict() for name, scores in columns.items()}):
         pass
     if arguments.json != "-":
-        print_scores(columns, calibrated=recovery.info.get("method") not in RANKING)
+        print_scores(columns)
 
 
 def audit(arguments: Namespace) -> None:
@@ -102,7 +93,7 @@ def audit(arguments: Namespace) -> None:
     if arguments.json != "-":
         if found.known:
             columns = {f"{100 * trial.fraction:g} %": trial.scores for trial in found.trials if trial.scores}
-            print_scores(columns, calibrated=found.calibrated)
+            print_scores(columns)
         for sentence in filter(None, (headline(found), typical(found), sparser(found))):
             print(sentence.replace("\N{NO-BREAK SPACE}", " "))
         print(f"The report is {Path(arguments.output) / PAGE}")
@@ -160,17 +151,6 @@ def demo(arguments: Namespace) -> None:
     )
 
 
-def _colours(arguments: Namespace, rgb: UInt8[np.ndarray, "points 3"] | None) -> UInt8[np.ndarray, "points 3"] | None:
-    if arguments.rgb and rgb is None:
-        raise InputError(f"{arguments.scene} has no colours; leave out --rgb")
-    return rgb if arguments.rgb else None
-
-
-def _truth(scene: Scene, index: Int[np.ndarray, " lines"], seed: int | None) -> Truth:
-    ids = None if scene.ids is None else scene.ids[index]
-    return Truth(scene.xyz[index], index, spacing(scene.xyz), ids, seed)
-
-
 def _check_report(arguments: Namespace, files: Iterable[str]) -> None:
     """Everything about an audit that can be refused before the scene is read."""
     inputs = [path for path in (arguments.scene, arguments.checkpoint) if path is not None]
@@ -202,7 +182,3 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
 def _shown(path: str) -> str:
     """A path as text; its bytes need be none."""
     return os.fsencode(path).decode("utf-8", errors="replace")
-
-
-def _rows(recovery: Recovery, kept: Bool[np.ndarray, " lines"]) -> Recovery:
-    return Recovery(recovery.xyz[kept], recovery.confidence[kept], recovery.beta[kept])

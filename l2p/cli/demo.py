@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-
-import numpy as np
-from jaxtyping import Float
 
 from l2p.attacks.run import recover
 from l2p.io.atomic import atomic_folder
@@ -14,11 +12,7 @@ from l2p.io.line_files import save_lines
 from l2p.io.recovery_files import save_recovery
 from l2p.io.scene_files import load_scene, save_scene_ply, save_truth
 from l2p.judging.accuracy import Scores, errors, evaluate, spacing
-from l2p.maps.lines import LineCloud
-from l2p.maps.recovery import Recovery
-from l2p.maps.scene import Scene
-from l2p.maps.truth import Truth
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 from l2p.show.pictures import Captions, draw_attack
 from l2p.show.tables import print_scores
 from l2p.simulator import simulate_model
@@ -65,32 +59,20 @@ def run(
         # Read back from its files, as anybody's map would be.
         scene = load_scene(place / MODEL)
         save_scene_ply(scene, place / MAP)
-        lines, index = lift_indexed(scene.xyz, seed=seed)
-        save_lines(lines, place / LINES)
-        recovery = recover(lines, progress=progress)
+        hidden = hide(scene, seed=seed)
+        save_lines(hidden.map, place / LINES)
+        recovery = recover(hidden.map, progress=progress)
         save_recovery(recovery, place / RECOVERY)
         save_recovery(recovery, place / CLOUD)
         # With the ids, `l2p recover --model --truth` makes a COLMAP model of the recovered points.
-        ids = None if scene.ids is None else scene.ids[index]
-        truth = Truth(scene.xyz[index], index, spacing(scene.xyz), ids, seed)
+        truth = replace(hidden.truth, spacing=spacing(scene.xyz))
         save_truth(truth, place / TRUTH)
-        scores = evaluate(recovery, truth.xyz, truth.spacing, metric=True)
-        _draw(place, scene, lines, recovery, truth.xyz, scores)
+        scores = evaluate(recovery, truth, metric=True)
+        error = errors(recovery, truth) / scores.spacing
+        picture = draw_attack(scene, hidden.map, recovery.xyz, error, _captions(scores))
+        (place / PICTURE).write_bytes(picture)
     print_scores({str(recovery.info["method"]): scores})
     print(f"The picture is {Path(folder) / PICTURE}; the recovered room is {Path(folder) / CLOUD}.")
-
-
-def _draw(
-    place: Path,
-    scene: Scene,
-    lines: LineCloud,
-    recovery: Recovery,
-    truth: Float[np.ndarray, "lines 3"],
-    scores: Scores,
-) -> None:
-    error = errors(recovery.xyz, truth) / scores.spacing
-    picture = draw_attack(scene, lines, recovery.xyz, error, _captions(scores))
-    (place / PICTURE).write_bytes(picture)
 
 
 def _captions(scores: Scores) -> Captions:

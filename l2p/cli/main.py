@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 from l2p.attacks.settings import DEFAULT_METHOD, METHODS, SCENE_KINDS
 from l2p.errors import InputError, LostProcessError, sentence
+from l2p.schemes.scheme import DEFAULT_SCHEME, SCHEMES
 from l2p.show.page import MOST_POINTS
 from l2p.version import __version__
 
@@ -88,7 +89,7 @@ def _add_lift(commands: Any) -> None:
         "--fraction", type=float, default=1.0, metavar="F", help="share of the points, in (0, 1] (default: %(default)s)"
     )
     lift.add_argument(
-        "--scheme", default="uniform", metavar="NAME", help="how directions are drawn (default: %(default)s)"
+        "--scheme", choices=SCHEMES, default=DEFAULT_SCHEME, help="how points are hidden (default: %(default)s)"
     )
     lift.add_argument(
         "--seed",

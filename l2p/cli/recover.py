@@ -164,10 +164,11 @@ def _recover_inputs(arguments: Namespace) -> tuple[LineCloud, Int[np.ndarray, " 
     lines = load_lines(arguments.lines)
     if arguments.model is None:
         return lines, None
-    ids = load_truth(arguments.truth).ids
+    truth = load_truth(arguments.truth)
+    ids = truth.ids
     if ids is None:
         raise InputError(f"{arguments.truth} has no point ids; expected the truth of a lifted COLMAP model")
-    if len(ids) != len(lines):
+    if len(ids) != len(lines) or not truth.one_each:
         raise InputError(f"got {len(lines)} lines and {len(ids)} ids; expected the truth of these very lines")
     check_ids(arguments.model, ids)
     return lines, ids

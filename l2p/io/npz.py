@@ -139,6 +139,15 @@ class Fields:
             raise InputError(f"{self.path} has rgb of type {rgb.dtype}; expected uint8, 0 to 255")
         return rgb
 
+    def take_element(self, rows: int) -> np.ndarray:
+        """The element of each row, if the file has them; else every row is of its own."""
+        element = self.take_optional("element", "iu", (rows,), np.int64)
+        if element is None:
+            return np.arange(rows)
+        if element.min(initial=0) < 0:
+            raise InputError(f"{self.path} has element {element.min()}; expected rows of the lines, counted from 0")
+        return element
+
     def take_version(self, newest: int) -> int:
         """The version of the format, at most ``newest``."""
         version = int(self.take("version", "iu", ()))

@@ -18,8 +18,9 @@ from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, point_records
 from l2p.maps.recovery import Recovery
 
-#: Version of the npz recovery that is written; older ones stay readable.
-RECOVERY_VERSION = 1
+#: Version of the npz recovery that is written; older ones stay readable. Version 1 did not say whether the confidence
+#: is calibrated: that of the learned attack is.
+RECOVERY_VERSION = 2
 
 #: Entries of ``Recovery.info`` that differ from run to run; they go to ``--json`` and not into the file, so that
 #: the same lines, seed and threads give the same bytes.
@@ -28,7 +29,19 @@ MEASURED = ("seconds", "peak_memory")
 # From dark blue (unsure) over green to yellow (sure); equal steps look about equal.
 _COLOURS = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], dtype=np.float64)
 
-_NAMES = ("xyz", "confidence", "beta", "rgb", "neighbors", "affinity", "kept", "info", "version")
+_NAMES = (
+    "xyz",
+    "confidence",
+    "beta",
+    "rgb",
+    "neighbors",
+    "affinity",
+    "kept",
+    "info",
+    "calibrated",
+    "element",
+    "version",
+)
 
 
 def save_recovery(recovery: Recovery, path: str | PathLike[str], *, overwrite: bool = False) -> None:
@@ -56,11 +69,13 @@ def load_recovery(path: str | PathLike[str]) -> Recovery:
         hint = "; a PLY does not keep the order of the lines" if kind is Kind.SCENE_PLY else ""
         raise InputError(f"{path} is {kind.value}; expected a recovery npz (l2p recover -o OUT.npz){hint}")
     fields = Fields(path, _NAMES)
-    fields.take_version(RECOVERY_VERSION)
+    version = fields.take_version(RECOVERY_VERSION)
     xyz = fields.take("xyz", "fiu", (None, 3), np.float64)
     rows = len(xyz)
     neighbors = fields.take_optional("neighbors", "iu", (rows, None), np.int64)
     width = None if neighbors is None else neighbors.shape[1]
+    info = _info(path, fields)
+    calibrated = info.get("method") == "learned" if version == 1 else bool(fields.take("calibrated", "b", ()))
     recovery = Recovery(
         xyz=xyz,
         confidence=fields.take("confidence", "fiu", (rows,), np.float32),
@@ -69,7 +84,9 @@ def load_recovery(path: str | PathLike[str]) -> Recovery:
         neighbors=neighbors,
         affinity=fields.take_optional("affinity", "fiu", (rows, width), np.float32),
         kept=fields.take_optional("kept", "b", (rows,)),
-        info=_info(path, fields),
+        info=info,
+        calibrated=calibrated,
+        element=fields.take_element(rows),
     )
     _check_numbers(path, recovery)
     return recovery
@@ -94,6 +111,8 @@ def _npz_bytes(recovery: Recovery) -> bytes:
             "affinity": recovery.affinity,
             "kept": recovery.kept,
             "info": np.array(json.dumps(info, sort_keys=True)),
+            "calibrated": np.array(recovery.calibrated),
+            "element": None if recovery.one_each else recovery.element,
             "version": np.array(RECOVERY_VERSION),
         }
     )

@@ -16,8 +16,8 @@ from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb, point_reco
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
 
-#: Version of the truth file that is written.
-TRUTH_VERSION = 1
+#: Newest version of the truth file. Version 1, without ``element``, is written where row i is behind line i.
+TRUTH_VERSION = 2
 
 
 def load_scene(path: str | PathLike[str]) -> Scene:
@@ -56,7 +56,7 @@ def load_truth(path: str | PathLike[str]) -> Truth:
     kind = kind_of(path)
     if kind is not Kind.TRUTH:
         raise InputError(f"{path} is {kind.value}; expected a truth npz (l2p lift --truth)")
-    fields = Fields(path, ("xyz", "index", "spacing", "ids", "seed", "version"))
+    fields = Fields(path, ("xyz", "index", "spacing", "ids", "seed", "element", "version"))
     fields.take_version(TRUTH_VERSION)
     xyz = fields.take("xyz", "fiu", (None, 3), np.float64)
     rows = len(xyz)
@@ -71,6 +71,7 @@ def load_truth(path: str | PathLike[str]) -> Truth:
         spacing=spacing,
         ids=fields.take_optional("ids", "iu", (rows,), np.int64),
         seed=None if seed is None else int(seed),
+        element=fields.take_element(rows),
     )
 
 
@@ -82,6 +83,11 @@ def save_truth(truth: Truth, path: str | PathLike[str], *, overwrite: bool = Fal
 
 def truth_bytes(truth: Truth) -> bytes:
     """The truth npz."""
+    if truth.spacing is None:
+        raise InputError(
+            "got a truth without a spacing; measure that of the whole map first: "
+            "replace(truth, spacing=l2p.judging.accuracy.spacing(points))"
+        )
     return npz_bytes(
         {
             "xyz": truth.xyz,
@@ -89,7 +95,8 @@ def truth_bytes(truth: Truth) -> bytes:
             "spacing": np.array(truth.spacing, dtype=np.float64),
             "ids": truth.ids,
             "seed": None if truth.seed is None else np.array(truth.seed, dtype=np.uint64),
-            "version": np.array(TRUTH_VERSION),
+            "element": None if truth.one_each else truth.element,
+            "version": np.array(1 if truth.one_each else TRUTH_VERSION),
         }
     )
 

@@ -16,6 +16,7 @@ from l2p.checks import finite_rows
 from l2p.errors import InputError
 from l2p.geometry.points import nearest_neighbors
 from l2p.maps.recovery import Recovery
+from l2p.maps.truth import Truth
 
 #: Thresholds of the shares, in spacings.
 SPACINGS = (0.25, 0.5, 1.0, 2.0, 5.0)
@@ -32,7 +33,7 @@ class Scores:
     Attributes
     ----------
     lines : int
-        Number of lines.
+        Number of true points, which is that of the lines unless some hide two points or none.
     spacing : float
         Median distance to the 50th neighbour in the full true cloud.
     median, mean : float
@@ -43,9 +44,9 @@ class Scores:
         Share of points within each threshold; ``within_cm`` is empty unless the scene is metric.
     confident_half, confident_quarter : float
         Share within 1 spacing among the most confident half and quarter of the lines.
-    calibration_error : float
+    calibration_error : float or None
         Expected calibration error of the confidence as the probability of lying within 1 spacing, in 15 bins of
-        equal size; a low figure is only claimed by methods with a calibrated confidence.
+        equal size; None where the confidence only ranks.
     """
 
     lines: int
@@ -57,11 +58,11 @@ class Scores:
     within_cm: dict[str, float]
     confident_half: float
     confident_quarter: float
-    calibration_error: float
+    calibration_error: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for a JSON file."""
-        return asdict(self)
+        """Plain values for a JSON file; None where an error is infinite."""
+        return {name: None if value == np.inf else value for name, value in asdict(self).items()}
 
 
 @dataclass(frozen=True)
@@ -115,41 +116,170 @@ def spacing(points: Float[np.ndarray, "points 3"]) -> float:
     return value
 
 
-def errors(recovered: Float[np.ndarray, "lines 3"], truth: Float[np.ndarray, "lines 3"]) -> Float[np.ndarray, " lines"]:
-    """Euclidean distance of each recovered point from its true one, scene units."""
-    return np.linalg.norm(recovered - truth, axis=1)
+def matched(recovery: Recovery, truth: Truth) -> Int[np.ndarray, " points"]:
+    """The recovered row of each true point, -1 for none: of its own element, and no row twice.
+
+    Notes
+    -----
+    Where an element has several points or rows, they are matched with the least total distance.
+    """
+    if recovery.one_each and truth.one_each:
+        return np.where(truth.element < len(recovery), truth.element, -1)
+    order = np.argsort(recovery.element, kind="stable")
+    own = recovery.element[order]
+    begin, end = (np.searchsorted(own, truth.element, side) for side in ("left", "right"))
+    row = np.full(len(truth), -1)
+    found = end > begin
+    row[found] = order[begin[found]]
+    _, element, count = np.unique(truth.element, return_inverse=True, return_counts=True)
+    several = found & ((count[element] > 1) | (end - begin > 1))
+    points = np.flatnonzero(several)[np.argsort(element[several], kind="stable")]
+    for group in np.split(points, np.flatnonzero(np.diff(element[points])) + 1) if len(points) else []:
+        row[group] = _assigned(truth.xyz[group], recovery.xyz, order[begin[group[0]] : end[group[0]]])
+    return row
+
+
+def _assigned(
+    true: Float[np.ndarray, "points 3"], recovered: Float[np.ndarray, "rows 3"], rows: Int[np.ndarray, " own"]
+) -> Int[np.ndarray, " points"]:
+    """The row of each point of one element, -1 for none."""
+    from scipy.optimize import linear_sum_assignment
+
+    distance = np.linalg.norm(true[:, None] - recovered[rows], axis=2)
+    point, place = linear_sum_assignment(distance)
+    row = np.full(len(true), -1)
+    row[point] = rows[place]
+    return row
+
+
+def errors(
+    recovered: Recovery | Float[np.ndarray, "rows 3"], truth: Truth | Float[np.ndarray, "points 3"]
+) -> Float[np.ndarray, " points"]:
+    """Distance of each true point from the recovered one that is matched with it, scene units.
+
+    Infinite for a point whose element has no recovered row left. Recovered rows of fakes count nowhere. In bare arrays
+    row i is of element i.
+    """
+    recovery, true = _recovery(recovered), _truth(truth)
+    return _distance(recovery, true, matched(recovery, true))
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A recovery beside the truth, point by point.
+
+    Attributes
+    ----------
+    recovery : Recovery
+    truth : Truth
+    spacing : float
+        Of the full true cloud, scene units.
+    row : (points,) int64
+        Recovered row of each true point, -1 for none (:func:`matched`).
+    error : (points,) float64
+        Scene units, infinite where there is no row.
+    confidence : (points,) float32
+        Of the recovered row, 0 where there is none.
+    """
+
+    recovery: Recovery
+    truth: Truth
+    spacing: float
+    row: Int[np.ndarray, " points"]
+    error: Float[np.ndarray, " points"]
+    confidence: Float[np.ndarray, " points"]
+
+    @property
+    def inside(self) -> Bool[np.ndarray, " points"]:
+        """Which points are within 1 spacing."""
+        return self.error <= self.spacing
+
+    @property
+    def spacings(self) -> Float[np.ndarray, " points"]:
+        """Errors in spacings."""
+        return self.error / self.spacing
+
+
+def compare(recovery: Recovery, truth: Truth | Float[np.ndarray, "lines 3"], spacing: float | None = None) -> Outcome:
+    """Put a recovery beside the truth; see :func:`evaluate`."""
+    true = _truth(truth)
+    if recovery.one_each and true.one_each and len(true) != len(recovery):
+        raise InputError(
+            f"got {len(recovery)} recovered and {len(true)} true points; expected the truth of these very lines"
+        )
+    row = matched(recovery, true)
+    confidence = recovery.confidence[row]
+    confidence[row < 0] = 0
+    scale = _scale(true) if spacing is None else spacing
+    return Outcome(recovery, true, scale, row, _distance(recovery, true, row), confidence)
+
+
+def _scale(truth: Truth) -> float:
+    return spacing(truth.xyz) if truth.spacing is None else truth.spacing
+
+
+def _distance(recovery: Recovery, truth: Truth, row: Int[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
+    return np.where(row < 0, np.inf, np.linalg.norm(recovery.xyz[row] - truth.xyz, axis=1))
+
+
+def _recovery(points: Recovery | Float[np.ndarray, "rows 3"]) -> Recovery:
+    if isinstance(points, Recovery):
+        return points
+    return Recovery(points, np.zeros(len(points), dtype=np.float32), np.zeros(len(points)))
+
+
+def _truth(points: Truth | Float[np.ndarray, "points 3"]) -> Truth:
+    if isinstance(points, Truth):
+        return points
+    points = finite_rows("truth", points)
+    return Truth(points, np.arange(len(points)))
 
 
 def evaluate(
-    recovery: Recovery, truth: Float[np.ndarray, "lines 3"], spacing: float | None = None, metric: bool = False
+    recovery: Recovery,
+    truth: Truth | Float[np.ndarray, "lines 3"],
+    spacing: float | None = None,
+    metric: bool = False,
 ) -> Scores:
     """Score a recovery against the true points.
 
     Parameters
     ----------
-    truth : (lines, 3)
-        True points in the order of the lines.
+    recovery : Recovery
+    truth : Truth or (lines, 3) array
+        True points; those of an array are in the order of the lines.
     spacing : float, optional
-        Of the full true cloud; computed from ``truth`` when left out, which is right only if all points were lifted.
+        Of the full true cloud, scene units. When left out, that of the truth; where this is not measured, that of the
+        true points, which is right only if all points were hidden.
     metric : bool
         The scene is in metres: give the shares within centimetres, too.
+
+    Returns
+    -------
+    Scores
 
     Raises
     ------
     InputError
-        If the truth has another number of points than the recovery.
+        If the truth has other lines than the recovery.
+
+    Notes
+    -----
+    Every true point counts once. One without a recovered row has an infinite error and confidence 0.
+
+    Examples
+    --------
+    >>> import l2p
+    >>> hidden = l2p.hide(l2p.simulate("room", 200), seed=0)
+    >>> scores = l2p.evaluate(l2p.recover(hidden.map, method="tomography"), hidden.truth)
+    >>> scores.lines, 0 <= scores.within_spacings["1"] <= 1
+    (200, True)
     """
-    truth = finite_rows("truth", truth)
-    if len(truth) != len(recovery):
-        raise InputError(
-            f"got {len(recovery)} recovered and {len(truth)} true points; expected the truth of these very lines"
-        )
-    scale = globals()["spacing"](truth) if spacing is None else spacing
-    error = errors(recovery.xyz, truth)
-    inside = error <= scale
-    order = np.argsort(-recovery.confidence, kind="stable")
+    found = compare(recovery, truth, spacing)
+    error, scale, inside = found.error, found.spacing, found.inside
+    order = np.argsort(-found.confidence, kind="stable")
     return Scores(
-        lines=len(truth),
+        lines=len(error),
         spacing=scale,
         median=float(np.median(error)),
         mean=float(error.mean()),
@@ -158,7 +288,7 @@ def evaluate(
         within_cm={f"{t:g}": float((error <= t / 100).mean()) for t in CENTIMETRES} if metric else {},
         confident_half=float(inside[order[: (len(order) + 1) // 2]].mean()),
         confident_quarter=float(inside[order[: (len(order) + 3) // 4]].mean()),
-        calibration_error=calibration_error(recovery.confidence, inside),
+        calibration_error=calibration_error(found.confidence, inside) if recovery.calibrated else None,
     )
 
 

@@ -49,6 +49,9 @@ class Oracle(Attack):
     No ceiling: to know a point's nearest neighbours is to know something about the point itself.
     """
 
+    #: The confidence only ranks.
+    calibrated = False
+
     def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 50, outliers: float = 0.0, seed: int = 0) -> None:
         _check_number("k", k)
         if not 0 <= outliers <= 1:
@@ -94,6 +97,9 @@ class CandidateOracle(Attack):
     candidates : int
         Size of N_pl around the attack's estimates.
     """
+
+    #: The confidence only ranks.
+    calibrated = False
 
     def __init__(
         self, points: Float[np.ndarray, "lines 3"], attack: Attack, k: int = 50, candidates: int = 200
@@ -147,6 +153,9 @@ class LeaveOneOut(Attack):
     k : int
         Points nearest to the line that enter the density; the kernel reaches no farther in practice.
     """
+
+    #: The confidence only ranks.
+    calibrated = False
 
     def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 128) -> None:
         _check_number("k", k)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from l2p.checks import _refuse, finite_rows
 from l2p.errors import InputError
@@ -37,6 +37,13 @@ class LineCloud:
     InputError
         If shapes differ, numbers are not finite or beyond 1e30, a direction has no length or a moment is not
         perpendicular to it.
+
+    Examples
+    --------
+    >>> import numpy as np, l2p
+    >>> lines = l2p.LineCloud.through(np.array([[0.0, 0, 2]]), direction=np.array([[1.0, 0, 0]]))
+    >>> lines.moment, lines.at(np.array([3.0]))
+    (array([[0., 2., 0.]]), array([[3., 0., 2.]]))
     """
 
     direction: Float[np.ndarray, "lines 3"]
@@ -98,6 +105,11 @@ class LineCloud:
     def at(self, beta: Float[np.ndarray, " lines"]) -> Float[np.ndarray, "lines 3"]:
         """The points origin + beta * direction, (lines, 3) in scene units."""
         return self.origin + np.asarray(beta, dtype=np.float64)[:, None] * self.direction
+
+    def rows(self, index: Int[np.ndarray, " some"]) -> LineCloud:
+        """Some of the lines, each as often as it is named."""
+        rgb = None if self.rgb is None else self.rgb[index]
+        return LineCloud(self.direction[index], self.moment[index], rgb, self.scheme)
 
     def __len__(self) -> int:
         return len(self.direction)

@@ -2,35 +2,86 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+
+from l2p.checks import element_rows
+from l2p.errors import InputError
+from l2p.maps.lines import LineCloud
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The points behind the lines of a line cloud, kept apart from it to judge an attack.
+    """The points behind the elements (lines) of a map, kept apart from it to judge an attack.
 
     Attributes
     ----------
-    xyz : (lines, 3) float64
-        The point behind each line, in the order of the lines, scene units.
-    index : (lines,) int64
-        Row of the point in the scene that was lifted.
-    spacing : float
-        Median distance to the 50th neighbour in the whole scene, also when only a fraction was lifted; scene units.
-    ids : (lines,) int64 or None
+    xyz : (points, 3) float64
+        Hidden points, scene units.
+    index : (points,) int64
+        Row of each point in the scene that was hidden.
+    spacing : float or None
+        Median distance to the 50th neighbour in the whole scene, also when only a fraction was hidden; scene units.
+        None: not measured.
+    ids : (points,) int64 or None
         Identifiers of the source (COLMAP ``point3D_id``).
     seed : int or None
-        Seed of the lifting, where one was given.
+        Seed of the hiding, where one was given.
+    element : (points,) int64
+        The line that hides each point; the row itself when left out. Two rows of one element are a pair; an element
+        without a row is a fake.
+
+    Raises
+    ------
+    InputError
+        If an element is negative, or there are more or fewer than points.
     """
 
-    xyz: Float[np.ndarray, "lines 3"]
-    index: Int[np.ndarray, " lines"]
-    spacing: float
-    ids: Int[np.ndarray, " lines"] | None = None
+    xyz: Float[np.ndarray, "points 3"]
+    index: Int[np.ndarray, " points"]
+    spacing: float | None = None
+    ids: Int[np.ndarray, " points"] | None = None
     seed: int | None = None
+    element: Int[np.ndarray, " points"] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "element", element_rows(self.element, len(self.xyz)))
+
+    @property
+    def one_each(self) -> bool:
+        """Whether row i is behind line i, for all of them."""
+        return np.array_equal(self.element, np.arange(len(self)))
+
+    def rows(self, some: Bool[np.ndarray, " points"] | Int[np.ndarray, " some"]) -> Truth:
+        """The points that a mask or row numbers choose."""
+        ids = None if self.ids is None else self.ids[some]
+        return replace(self, xyz=self.xyz[some], index=self.index[some], ids=ids, element=self.element[some])
 
     def __len__(self) -> int:
         return len(self.xyz)
+
+
+@dataclass(frozen=True, eq=False)
+class Hiding:
+    """A scene that was hidden: what is published, and what stays behind.
+
+    Attributes
+    ----------
+    map : LineCloud
+    truth : Truth
+
+    Raises
+    ------
+    InputError
+        If a point is behind a line that the map does not have.
+    """
+
+    map: LineCloud
+    truth: Truth
+
+    def __post_init__(self) -> None:
+        last = self.truth.element.max(initial=-1)
+        if last >= len(self.map):
+            raise InputError(f"got a point behind line {last} of {len(self.map)} lines; expected lines of the map")

@@ -23,10 +23,9 @@ def commit() -> str | None:
 
 @cache
 def source_digest(room: str = "") -> str:
-    """Digest of the sources of l2p, or of one room: it differs where results may."""
-    files = sorted((PACKAGE / room).rglob("*.py"))
+    """A digest of the sources of l2p, or of one folder in it: it differs where results may."""
     digest = hashlib.sha256()
-    for file in files:
+    for file in sorted((PACKAGE / room).rglob("*.py")):
         digest.update(file.relative_to(PACKAGE).as_posix().encode())
         digest.update(file.read_bytes())
     return digest.hexdigest()[:12]

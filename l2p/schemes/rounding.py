@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 def lattice_step(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " points"]:
@@ -31,6 +31,13 @@ def lattice_step(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " p
             step = np.maximum(step, _last_digit(size, digits))
             break
     return step
+
+
+def within_lattice(
+    points: Float[np.ndarray, "points 3"], chosen: Int[np.ndarray, " chosen"], rng: np.random.Generator
+) -> Float[np.ndarray, "chosen 3"]:
+    """The chosen points, each moved at random within its cell of the lattice that it was rounded to."""
+    return points[chosen] + lattice_step(points)[chosen, None] * rng.uniform(-0.5, 0.5, size=(len(chosen), 3))
 
 
 def _rounded(

@@ -8,7 +8,6 @@ from os import PathLike
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from l2p.attacks.settings import CALIBRATED
 from l2p.errors import InputError
 from l2p.io.kinds import LINE_CLOUDS, SCENES, Kind, kind_of
 from l2p.io.line_files import load_lines
@@ -72,8 +71,12 @@ class Exhibit:
         if kind is not Kind.RECOVERY:
             raise InputError(f"{path} is {kind.value}; expected a scene, a line cloud or a recovery to look at")
         recovery = load_recovery(path)
-        calibrated = recovery.info.get("method") in CALIBRATED
-        return cls(recovered=recovery.xyz, rgb=recovery.rgb, confidence=recovery.confidence, calibrated=calibrated)
+        return cls(
+            recovered=recovery.xyz,
+            rgb=recovery.rgb,
+            confidence=recovery.confidence,
+            calibrated=recovery.calibrated,
+        )
 
     def __len__(self) -> int:
         return next(len(layer) for layer in (self.points, self.recovered, self.lines) if layer is not None)

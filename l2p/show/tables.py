@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 _FILE_WIDTH = 140
 
 
-def print_scores(columns: dict[str, Scores], *, calibrated: bool = True) -> None:
-    """The figures of each column, on stdout; ``calibrated`` says whether the confidence claims to be a probability."""
+def print_scores(columns: dict[str, Scores]) -> None:
+    """The figures of each column, on stdout."""
     table = Table(*("", *columns), title="error of the recovered points")
-    for row in zip(*(_score_rows(scores, calibrated) for scores in columns.values()), strict=True):
+    for row in zip(*(_score_rows(scores) for scores in columns.values()), strict=True):
         table.add_row(row[0][0], *(value for _, value in row))
     _console().print(table)
 
@@ -64,7 +64,7 @@ def _console() -> Console:
     return Console(file=sys.stdout, width=None if sys.stdout.isatty() else _FILE_WIDTH)
 
 
-def _score_rows(scores: Scores, calibrated: bool) -> list[tuple[str, str]]:
+def _score_rows(scores: Scores) -> list[tuple[str, str]]:
     rows = [
         ("lines", str(scores.lines)),
         ("spacing (scene units)", f"{scores.spacing:.4g}"),
@@ -76,7 +76,8 @@ def _score_rows(scores: Scores, calibrated: bool) -> list[tuple[str, str]]:
         ("most confident half within 1 spacing", f"{scores.confident_half:.1%}"),
         ("most confident quarter within 1 spacing", f"{scores.confident_quarter:.1%}"),
     ]
-    return [*rows, ("calibration error", f"{scores.calibration_error:.3f}")] if calibrated else rows
+    error = scores.calibration_error
+    return rows if error is None else [*rows, ("calibration error", f"{error:.3f}")]
 
 
 def _spacings(limit: str) -> str:

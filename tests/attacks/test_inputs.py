@@ -62,7 +62,8 @@ class Scene(NamedTuple):
 def scene(scene_points: np.ndarray) -> Scene:
     """Estimates beside their points, and for each line some others; a few are padding."""
     draw = torch.Generator().manual_seed(0)
-    cloud, index = l2p.lift_indexed(scene_points[::5], seed=0)
+    hidden = l2p.hide(scene_points[::5], seed=0)
+    cloud, index = hidden.map, hidden.truth.index
     frame = Frame.of(cloud)
     lines = frame.enter(cloud, dtype=torch.float64)
     truth = frame.enter_points(scene_points[::5][index], dtype=torch.float64)
@@ -221,9 +222,8 @@ def test_surroundings_are_those_of_the_nearest_estimates(scene: Scene) -> None:
         assert float(nodes.crowd[i]) == pytest.approx(confidence[near[: SCALE + 1]].mean())
         for surface, count in ((nodes.surface, SCALE), (nodes.wide, WIDE)):
             some = near[: count + 1]
-            expected = fitted(
-                *(torch.as_tensor(part[some])[None] for part in (points, direction, confidence)), CONFIG.surface
-            )
+            columns = [torch.as_tensor(column[some])[None] for column in (points, direction, confidence)]
+            expected = fitted(columns[0], columns[1], columns[2], CONFIG.surface)
             for found, part in zip(Surface(*(part[i : i + 1] for part in surface)), expected, strict=True):
                 torch.testing.assert_close(found.abs(), part.abs(), atol=1e-6, rtol=1e-6)
 

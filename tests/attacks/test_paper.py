@@ -12,7 +12,7 @@ from l2p.geometry.elements import Lines
 from l2p.geometry.pairs import closest_points, line_line_distance
 from l2p.judging.accuracy import errors, spacing
 from l2p.judging.references import Oracle
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 
 DRAWS = 1_000_000
 
@@ -53,7 +53,8 @@ def room(on_walls) -> np.ndarray:
 
 def oracle_errors(points: np.ndarray, k: int, outliers: float = 0.0) -> np.ndarray:
     """Errors in spacings."""
-    lines, index = lift_indexed(points, seed=1)
+    hidden = hide(points, seed=1)
+    lines, index = hidden.map, hidden.truth.index
     truth = points[index]
     return errors(run(lines, Oracle(truth, k, outliers)).xyz, truth) / spacing(points)
 

@@ -12,7 +12,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from l2p.attacks.attack import Elements, locate
+import l2p
+from l2p.attacks.attack import Attack, Elements, Estimate, locate
 from l2p.attacks.heuristic import Heuristic
 from l2p.attacks.learned.checkpoint import shipped
 from l2p.attacks.run import recover, usable_device
@@ -21,8 +22,8 @@ from l2p.geometry.frame import Frame
 from l2p.judging.accuracy import errors, spacing
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
-from l2p.schemes.uniform import lift_indexed
-from l2p.work.work import ALONE
+from l2p.schemes.hide import hide
+from l2p.work.work import ALONE, Work
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +240,8 @@ def test_an_installation_without_weights_says_so(truth, direction, monkeypatch, 
 
 def test_colours_and_settings_come_along(truth):
     rgb = np.random.default_rng(0).integers(0, 256, size=(200, 3)).astype(np.uint8)
-    lines, index = lift_indexed(truth[:200], seed=1, rgb=rgb)
+    hidden = hide(truth[:200], seed=1, rgb=rgb)
+    lines, index = hidden.map, hidden.truth.index
     result = recover(lines, method="heuristic", rounds=1, scene_kind="outdoor", density=0.05)
     np.testing.assert_array_equal(result.rgb, rgb[index])
     assert result.info["method"] == "heuristic" and result.info["device"] == "cpu"
@@ -288,3 +290,25 @@ def test_no_lines_are_refused(monkeypatch):
 
 def test_the_processor_is_always_there():
     assert usable_device("cpu").type == "cpu"
+
+
+class Twice(Attack):
+    """Places two points on every other line, in any order, and none on the others."""
+
+    def finish(self, state: Elements, work: Work) -> Estimate:
+        element = torch.arange(0, len(state), 2).repeat(2).flip(0)
+        beta = torch.linspace(-1, 1, len(element))
+        near = element[:, None]
+        return Estimate(beta, torch.ones_like(beta), near, torch.ones(len(beta), 1), element)
+
+
+def test_an_attack_may_place_two_points_on_a_line_or_none(truth, direction):
+    lines = LineCloud.through(truth, direction)
+    found = run(lines, Twice())
+    assert len(found) == len(lines) and not found.one_each
+    assert (np.diff(found.element) >= 0).all() and set(np.bincount(found.element, minlength=len(lines))) == {0, 2}
+    off = np.cross(found.xyz, lines.direction[found.element]) - lines.moment[found.element]
+    assert np.abs(off).max() < 1e-9
+    assert found.neighbors is not None and np.array_equal(found.neighbors[:, 0], found.element)
+    scores = l2p.evaluate(found, l2p.Truth(truth, np.arange(len(truth)), spacing=1.0))
+    assert scores.lines == len(truth)

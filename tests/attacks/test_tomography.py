@@ -19,7 +19,7 @@ from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import nearest_points_to_points
 from l2p.maps.lines import LineCloud
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 from l2p.work.work import ALONE
 
 #: Expectation maximisation alone, without a prior.
@@ -28,7 +28,8 @@ PLAIN = TomographyConfig(start=8, levels=1, iterations=3, smoothing=0.0, shrinka
 
 def framed(points: np.ndarray, seed: int = 0) -> tuple[Lines, np.ndarray]:
     """Lines in their frame, and the true points there."""
-    cloud, index = lift_indexed(points, seed, 1.0)
+    hidden = hide(points, seed, 1.0)
+    cloud, index = hidden.map, hidden.truth.index
     frame = Frame.of(cloud)
     return frame.enter(cloud), (points[index] - frame.center) / frame.unit
 
@@ -95,7 +96,8 @@ def test_posterior_is_a_distribution_in_the_order_of_the_line(lines):
 def test_an_isolated_blob_is_found(rng):
     blob = rng.normal((0.7, -0.4, 0.2), 0.01, size=(300, 3))
     points = np.concatenate([blob, rng.uniform(-1, 1, size=(150, 3))])
-    cloud, index = lift_indexed(points, 0, 1.0)
+    hidden = hide(points, 0, 1.0)
+    cloud, index = hidden.map, hidden.truth.index
     result = l2p.recover(cloud, method="tomography")
     own = index < 300
     error = np.linalg.norm(result.xyz - points[index], axis=1)[own]

@@ -17,7 +17,7 @@ from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import nearest_lines_to_lines
 from l2p.geometry.pairs import closest_points
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 from l2p.work.work import ALONE, Work
 
 
@@ -100,7 +100,8 @@ def test_no_neighbours_at_all_are_no_error(count):
 
 
 def test_confidence_is_a_share_and_ranks_the_lines(scene_points):
-    lines, index = lift_indexed(scene_points, seed=3)
+    hidden = hide(scene_points, seed=3)
+    lines, index = hidden.map, hidden.truth.index
     frame = Frame.of(lines)
     inside = frame.enter(lines)
     estimate = locate(Heuristic(), in_order(inside, frame), ALONE)
@@ -154,7 +155,8 @@ def test_settings_that_make_no_sense_are_refused(setting, message):
 
 
 def located(heuristic: Heuristic, points: np.ndarray, seed: int = 3) -> tuple[Estimate, torch.Tensor]:
-    lines, index = lift_indexed(points, seed=seed)
+    hidden = hide(points, seed=seed)
+    lines, index = hidden.map, hidden.truth.index
     frame = Frame.of(lines)
     estimate = locate(heuristic, in_order(frame.enter(lines), frame), ALONE)
     error = (frame.enter(lines).at(estimate.beta) - frame.enter_points(points[index])).norm(dim=1)
@@ -162,7 +164,7 @@ def located(heuristic: Heuristic, points: np.ndarray, seed: int = 3) -> tuple[Es
 
 
 def test_without_rounds_the_nearest_lines_vote(scene_points):
-    lines, _ = lift_indexed(scene_points, seed=3)
+    lines = hide(scene_points, seed=3).map
     inside = Frame.of(lines).enter(lines)
     estimate, _ = located(Heuristic(HeuristicConfig(rounds=0)), scene_points)
     expected = vote(inside, nearest_lines_to_lines(inside, 250).index)
@@ -206,7 +208,7 @@ def test_an_attack_of_ones_own_needs_one_function_only(scene_points):
             own = len(range(len(state))[work.own(len(state))])
             return vote(state.lines, torch.zeros(own, 0, dtype=torch.int64), work=work)
 
-    lines, _ = lift_indexed(scene_points, seed=0)
+    lines = hide(scene_points, seed=0).map
     result = run(lines, Feet())
     distance = np.linalg.norm(result.xyz - Frame.of(lines).center, axis=1)
     nearest = np.linalg.norm(np.cross(Frame.of(lines).center, lines.direction) - lines.moment, axis=1)

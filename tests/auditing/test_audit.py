@@ -12,7 +12,6 @@ import pytest
 import l2p
 from l2p.auditing import report
 from l2p.auditing.audit import FRACTIONS
-from l2p.auditing.report import save_report
 from l2p.auditing.words import headline, sparser, typical
 from l2p.judging.curves import COVERAGE, THRESHOLDS
 from l2p.show.page.numbers import length
@@ -43,7 +42,8 @@ def test_each_fraction_is_attacked_once_from_the_largest_to_the_smallest(found):
 
 def test_lines_are_those_of_the_seed_and_scores_those_of_the_true_points(scene, found):
     for trial in found.trials:
-        lines, index = l2p.lift_indexed(scene.xyz, seed=4, fraction=trial.fraction)
+        hidden = l2p.hide(scene.xyz, seed=4, fraction=trial.fraction)
+        lines, index = hidden.map, hidden.truth.index
         np.testing.assert_array_equal(trial.lines.moment, lines.moment)
         assert trial.scores == l2p.evaluate(trial.recovery, scene.xyz[index], l2p.judging.accuracy.spacing(scene.xyz))
 
@@ -211,18 +211,18 @@ def test_a_headline_without_truth_is_a_prediction_or_none(blind, scene):
 
 
 def test_the_report_is_a_page_and_its_figures(found, tmp_path):
-    save_report(found, tmp_path / "report", command="l2p audit x")
+    l2p.save_report(found, tmp_path / "report", command="l2p audit x")
     assert {path.name for path in (tmp_path / "report").iterdir()} == set(report.FILES)
     assert json.loads((tmp_path / "report" / report.FIGURES).read_text())["command"] == "l2p audit x"
     with pytest.raises(l2p.InputError, match="exists"):
-        save_report(found, tmp_path / "report")
-    save_report(found, tmp_path / "report", overwrite=True)
+        l2p.save_report(found, tmp_path / "report")
+    l2p.save_report(found, tmp_path / "report", overwrite=True)
 
 
 def test_a_folder_with_anything_else_is_never_replaced(found, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(l2p.InputError, match="did not write"):
-        save_report(found, tmp_path, overwrite=True)
+        l2p.save_report(found, tmp_path, overwrite=True)
 
 
 def test_a_report_is_whole_or_absent(found, tmp_path, monkeypatch):
@@ -231,7 +231,7 @@ def test_a_report_is_whole_or_absent(found, tmp_path, monkeypatch):
 
     monkeypatch.setattr(report, "report_page", broken)
     with pytest.raises(KeyboardInterrupt):
-        save_report(found, tmp_path / "report")
+        l2p.save_report(found, tmp_path / "report")
     assert list(tmp_path.iterdir()) == []
 
 

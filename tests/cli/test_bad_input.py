@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from l2p.cli.main import main
-from l2p.schemes.uniform import lift
+from l2p.schemes.hide import lift
 
 POINTS = np.random.default_rng(0).normal(size=(60, 3))
 
@@ -161,7 +161,7 @@ def test_a_scene_without_extent_has_no_truth(folder, capfd):
         (["--fraction", "1.5"], "fraction 1.5; expected a number in (0, 1]"),
         (["--fraction", "nan"], "fraction nan"),
         (["--fraction", "many"], "argument --fraction: invalid float value: 'many'"),
-        (["--scheme", "radial"], "scheme 'radial'; expected one of uniform"),
+        (["--scheme", "radial"], "invalid choice: 'radial'"),
         (["--seed", "-1"], "argument --seed: got -1; expected 0 to 2^63 - 1"),
         (["--rgb"], "scene.npz has no colours; leave out --rgb"),
         (["--truth", "out.npz"], "got out.npz twice"),

@@ -20,7 +20,7 @@ from l2p.io.scene_files import load_scene, load_truth, save_scene_ply, save_trut
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
-from l2p.schemes.uniform import lift
+from l2p.schemes.hide import lift
 
 READERS: tuple[Callable[[Path], Any], ...] = (load_lines, load_scene, load_truth, load_recovery)
 POINTS = np.random.default_rng(0).normal(size=(5, 3))

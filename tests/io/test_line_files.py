@@ -15,7 +15,7 @@ from l2p.errors import InputError
 from l2p.geometry.frame import Frame
 from l2p.io.line_files import load_lines, save_lines, segments
 from l2p.maps.lines import LineCloud
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 
 
 def cloud_of(count: int = 20, seed: int = 0, colours: bool = False, offset: float = 0.0) -> LineCloud:
@@ -182,7 +182,8 @@ def test_the_kind_is_told_from_the_content_and_not_the_name(tmp_path):
 def test_a_written_line_cloud_has_the_order_of_its_directions(tmp_path):
     """What lift hides stays hidden in the file: the rows say nothing about the order of the scene."""
     points = np.cumsum(np.random.default_rng(0).normal(size=(500, 3)), axis=0)
-    cloud, index = lift_indexed(points, seed=5)
+    hidden = hide(points, seed=5)
+    cloud, index = hidden.map, hidden.truth.index
     save_lines(cloud, tmp_path / "lines.npz")
     again = load_lines(tmp_path / "lines.npz")
     order = np.lexsort(again.direction.T)

@@ -26,6 +26,7 @@ def recovery_of(count: int = 12, colours: bool = True) -> Recovery:
         affinity=rng.random((count, 4), dtype=np.float32),
         kept=rng.random(count) < 0.5,
         info={"method": "heuristic", "settings": {"rounds": 3}, "seconds": 1.5},
+        calibrated=True,
     )
 
 
@@ -40,6 +41,21 @@ def test_npz_keeps_everything_but_the_clock(tmp_path):
     for name in ("xyz", "confidence", "beta", "rgb", "neighbors", "affinity", "kept"):
         np.testing.assert_array_equal(getattr(again, name), getattr(recovery, name), strict=True)
     assert again.info == {"method": "heuristic", "settings": {"rounds": 3}}
+    assert again.calibrated is True
+    l2p.save(replace(recovery, calibrated=False), tmp_path / "ranks.npz")
+    assert load_recovery(tmp_path / "ranks.npz").calibrated is False
+
+
+@pytest.mark.parametrize(("method", "calibrated"), [("learned", True), ("heuristic", False), ("mine", False)])
+def test_version_1_knew_one_calibrated_method(tmp_path, method, calibrated):
+    l2p.save(replace(recovery_of(), info={"method": method}), tmp_path / "new.npz")
+    with np.load(tmp_path / "new.npz") as archive:
+        arrays = {name: archive[name] for name in archive.files if name != "calibrated"}
+    np.savez(tmp_path / "old.npz", **arrays | {"version": np.array(1)})  # type: ignore[arg-type]
+    assert load_recovery(tmp_path / "old.npz").calibrated is calibrated
+    np.savez(tmp_path / "cut.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"cut.npz has no calibrated"):
+        load_recovery(tmp_path / "cut.npz")
 
 
 def test_the_same_recovery_gives_the_same_bytes_however_long_it_took(tmp_path):
@@ -93,6 +109,8 @@ def test_colours_of_confidence_get_lighter():
         ({"info": np.array("3")}, "info that is a int; expected a JSON object"),
         ({"info": np.array({"a": 1}, dtype=object)}, "holds Python objects"),
         ({"rgb": np.zeros((12, 3))}, "rgb of type float64"),
+        ({"element": np.arange(12) - 1}, "element -1"),
+        ({"calibrated": np.array(1)}, "calibrated of type int64; expected booleans"),
     ],
 )
 def test_a_wrong_npz_is_named_and_explained(tmp_path, changes, message):

@@ -13,7 +13,7 @@ from l2p.io.line_files import save_lines
 from l2p.io.scene_files import load_scene, load_truth, save_scene_ply, save_truth
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
-from l2p.schemes.uniform import lift
+from l2p.schemes.hide import lift
 
 
 def scene_of(count: int = 30) -> Scene:
@@ -164,6 +164,7 @@ def test_truth_round_trip(tmp_path):
     xyz = scene_of().xyz
     for name, truth in {
         "full.npz": Truth(xyz, np.arange(30)[::-1], 0.5, np.arange(30) * 3, 2**63),
+        "pairs.npz": Truth(xyz, np.arange(30), 0.5, element=np.arange(30) // 2),
         "bare.npz": Truth(xyz, np.arange(30), 2.0),
     }.items():
         save_truth(truth, tmp_path / name)
@@ -172,6 +173,10 @@ def test_truth_round_trip(tmp_path):
         np.testing.assert_array_equal(again.index, truth.index)
         assert (again.spacing, again.seed) == (truth.spacing, truth.seed)
         assert (again.ids is None) == (truth.ids is None)
+        np.testing.assert_array_equal(again.element, truth.element)
+        with np.load(tmp_path / name) as file:
+            assert int(file["version"]) == (1 if name != "pairs.npz" else 2)
+            assert ("element" in file) == (name == "pairs.npz")
     l2p.save(truth, tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "bare.npz").read_bytes()
 
@@ -186,6 +191,8 @@ def test_what_is_no_truth(tmp_path):
         ({"spacing": np.array(0.0)}, "spacing 0.0; expected a length above 0"),
         ({"spacing": np.array(np.nan)}, "spacing nan"),
         ({"version": np.array(7)}, "version 7"),
+        ({"element": np.array([0, 1, -2, 3])}, "element -2"),
+        ({"element": np.arange(3)}, r"element of shape \(3,\)"),
         ({"xyz": np.full((4, 3), np.nan)}, "4 of 4 points that are NaN"),
         ({"seed": np.array(0.5)}, "seed of type float64"),
     ):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jaxtyping
 import numpy as np
 import pytest
@@ -124,7 +126,7 @@ def test_one_line_can_be_scored():
 def test_scores_are_plain_values():
     import json
 
-    scores = evaluate(recovery_of(grid(4, 1.0)), grid(4, 1.0), metric=True).as_dict()
+    scores = evaluate(replace(recovery_of(grid(4, 1.0)), calibrated=True), grid(4, 1.0), metric=True).as_dict()
     assert json.loads(json.dumps(scores)) == scores
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from l2p.attacks.attack import Method
+from l2p.attacks.attack import Attack
 from l2p.attacks.heuristic import Heuristic
 from l2p.attacks.run import run
 from l2p.errors import InputError
@@ -13,7 +13,7 @@ from l2p.geometry.points import nearest_neighbors
 from l2p.judging.accuracy import errors, spacing
 from l2p.judging.references import CandidateOracle, LeaveOneOut, Oracle
 from l2p.maps.lines import LineCloud
-from l2p.schemes.uniform import lift_indexed
+from l2p.schemes.hide import hide
 
 
 @pytest.fixture(scope="module")
@@ -23,11 +23,12 @@ def room(on_walls) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def lifted(room) -> tuple[LineCloud, np.ndarray]:
-    lines, index = lift_indexed(room, seed=1)
+    hidden = hide(room, seed=1)
+    lines, index = hidden.map, hidden.truth.index
     return lines, room[index]
 
 
-def median(lifted: tuple[LineCloud, np.ndarray], method: Method) -> float:
+def median(lifted: tuple[LineCloud, np.ndarray], method: Attack) -> float:
     """Median error in spacings."""
     lines, truth = lifted
     return float(np.median(errors(run(lines, method).xyz, truth))) / spacing(truth)
@@ -74,7 +75,8 @@ def test_leave_one_out_finds_the_place_where_the_line_meets_the_scene():
     # All points but few lie in one plane, and a line meets it once.
     rng = np.random.default_rng(0)
     points = rng.uniform(-1, 1, size=(1500, 3)) * [1, 1, 0.001]
-    lines, index = lift_indexed(points, seed=1)
+    hidden = hide(points, seed=1)
+    lines, index = hidden.map, hidden.truth.index
     error = errors(run(lines, LeaveOneOut(points[index])).xyz, points[index]) / spacing(points)
     steep = np.abs(lines.direction[:, 2]) > 0.5
     assert np.median(error[steep]) < 0.05
@@ -116,7 +118,8 @@ def test_the_seed_decides_the_outliers(room):
 @pytest.mark.parametrize("count", [1, 2, 3, 10])
 def test_few_lines_have_bounds(count):
     points = np.random.default_rng(3).normal(size=(count, 3))
-    lines, index = lift_indexed(points, seed=1)
+    hidden = hide(points, seed=1)
+    lines, index = hidden.map, hidden.truth.index
     truth = points[index]
     for method in (Oracle(truth, 50), Oracle(truth, 50, 0.5), CandidateOracle(truth, Heuristic()), LeaveOneOut(truth)):
         result = run(lines, method)

@@ -121,7 +121,7 @@ def test_rows_are_what_the_measures_say_of_the_saved_prediction(tmp_path: Path) 
     run(tmp_path, "methods=[{name: oracle, k: 10}]")
     row = rows_of(tmp_path)[1]
     points = l2p.simulate("room", 120, 0).xyz
-    _, index = l2p.lift_indexed(points, 0, 0.5)
+    index = l2p.hide(points, 0, 0.5).truth.index
     recovery = l2p.load(tmp_path / "predictions" / "sim-room-120-0_50_0_oracle-10.npz", Recovery)
     scores = l2p.evaluate(recovery, points[index], l2p.judging.accuracy.spacing(points))
     assert float(row["median_spacings"]) == pytest.approx(scores.median_spacings)
@@ -196,7 +196,8 @@ def test_predictions_of_other_weights_are_not_mixed_in(tmp_path: Path, tiny_chec
 def test_the_learned_attack_is_told_the_density_and_nothing_of_the_truth(
     tiny_checkpoint: Path, scene_points: np.ndarray
 ) -> None:
-    lines, index = l2p.lift_indexed(scene_points, 0, 0.25)
+    hidden = l2p.hide(scene_points, 0, 0.25)
+    lines, index = hidden.map, hidden.truth.index
     contender: Any = contender_of({"name": "learned", "checkpoint": str(tiny_checkpoint)})
     found = [
         contender.recover(Trial("key", lines, truth, kind, 0.25, 0, "cpu"))
@@ -223,7 +224,7 @@ def test_a_users_points_and_recoveries_are_scored(tmp_path: Path, plugin: Callab
     folder = tmp_path / "elsewhere"
     folder.mkdir()
     for percent in (100, 50):
-        lines, _ = l2p.lift_indexed(l2p.simulate("room", 120, 0).xyz, 0, percent / 100)
+        lines = l2p.hide(l2p.simulate("room", 120, 0).xyz, 0, percent / 100).map
         zero = np.zeros(len(lines))
         l2p.save(
             Recovery(lines.at(zero + 0.5), np.ones(len(lines), np.float32), zero + 0.5),
@@ -236,7 +237,7 @@ def test_a_users_points_and_recoveries_are_scored(tmp_path: Path, plugin: Callab
     assert rows[0]["median"] == rows[1]["median"]
     assert float(rows[0]["seconds"]) > 0 and rows[1]["seconds"] == "", "the time of reading is not that of the method"
     assert rows[0]["neighbor_precision"] == "" and rows[0]["confidence_auc"] == "", "nothing is made up"
-    lines, _ = l2p.lift_indexed(l2p.simulate("room", 120, 0).xyz, 0)
+    lines = l2p.hide(l2p.simulate("room", 120, 0).xyz, 0).map
     bare = tmp_path / "bare"
     bare.mkdir()
     np.savez(bare / "sim-room-120-0_100_0.npz", xyz=lines.at(np.full(len(lines), 0.5)))
@@ -245,6 +246,44 @@ def test_a_users_points_and_recoveries_are_scored(tmp_path: Path, plugin: Callab
     (folder / "sim-room-120-0_50_0.npz").write_bytes((folder / "sim-room-120-0_100_0.npz").read_bytes())
     with pytest.raises(InputError, match=r"_50_0_elsewhere.npz was made with method .*'digest': "):
         run(tmp_path / "run", f"methods=[{call}, {{name: folder, path: {folder}}}]")
+
+
+CLAIMING = """
+import numpy as np
+import l2p
+
+def attack(lines, says):
+    beta = np.zeros(len(lines))
+    return l2p.Recovery(lines.at(beta), np.linspace(0, 1, len(lines), dtype=np.float32), beta, calibrated=says)
+"""
+
+
+def test_a_calibration_is_that_of_recoveries_that_claim_a_probability(tmp_path: Path, tiny_checkpoint: Path) -> None:
+    (tmp_path / "claiming.py").write_text(CLAIMING)
+    sys.path.insert(0, str(tmp_path))
+    call = "name: call, path: 'claiming:attack'"
+    claims = {
+        "learned": f"{call}, arguments: {{says: false}}",
+        "heuristic": f"{call}, arguments: {{says: true}}",
+        "raised": f"{call}, arguments: {{says: false}}, calibrated: true",
+        "lowered": f"{call}, arguments: {{says: true}}, calibrated: false",
+        "tiny": f"name: learned, checkpoint: {tiny_checkpoint}",
+        "heuristic with sparse counts": "name: heuristic, density: 0.05",
+        "bound": "name: loo",
+    }
+    methods = ", ".join(f"{{{entry}, label: {label}}}" for label, entry in claims.items())
+    assert run(tmp_path / "run", f"methods=[{methods}]", "fractions=[1.0]") == 0
+    expected = dict.fromkeys(claims, False) | dict.fromkeys(("heuristic", "raised", "tiny"), True)
+    assert {row["method"]: row["calibration_error"] != "" for row in rows_of(tmp_path / "run")} == expected
+    curves = {
+        row["method"]: row["curves"] for row in json.loads((tmp_path / "run" / "results.json").read_text())["rows"]
+    }
+    assert {label: curves[label]["reliability"] is not None for label in claims} == expected
+    for label, claim in expected.items():
+        file = f"sim-room-120-0_100_0_{label.replace(' ', '-')}.npz"
+        assert l2p.load(tmp_path / "run" / "predictions" / file, Recovery).calibrated is claim
+    with pytest.raises(InputError, match=r"was made with method .*'calibrated': True"):
+        run(tmp_path / "run", f"methods=[{{{call}, arguments: {{says: false}}, label: raised}}]", "fractions=[1.0]")
 
 
 def test_a_users_answer_of_the_wrong_length_is_refused(

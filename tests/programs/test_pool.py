@@ -135,7 +135,8 @@ def test_held_back_clouds_are_cut_to_the_most_lines() -> None:
 def test_the_truth_of_a_cloud_is_that_of_its_scene(attack: Learned) -> None:
     cloud = lifted(CloudSource("sim:room:200:0", 0.5, 3), attack)
     points = l2p.simulate("room", 200, 0).xyz
-    lines, index = l2p.lift_indexed(points, 3, 0.5)
+    hidden = l2p.hide(points, 3, 0.5)
+    lines, index = hidden.map, hidden.truth.index
     frame = Frame.of(lines)
     truth = points[index]
     np.testing.assert_allclose(cloud.true_point.numpy(), frame.enter_points(truth).numpy(), atol=1e-5)

@@ -12,8 +12,8 @@ from scipy.stats import kstest
 import l2p
 from l2p.errors import InputError
 from l2p.maps.lines import LineCloud
+from l2p.schemes.hide import hide, lift
 from l2p.schemes.rounding import lattice_step
-from l2p.schemes.uniform import lift, lift_indexed
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,8 @@ def same_bytes(one: LineCloud, other: LineCloud) -> bool:
 
 
 def test_the_index_says_which_point_is_on_which_line(walk):
-    cloud, index = lift_indexed(walk, seed=0)
+    hidden = hide(walk, seed=0)
+    cloud, index = hidden.map, hidden.truth.index
     assert sorted(index) == list(range(len(walk)))
     apart = np.linalg.norm(np.cross(walk[index], cloud.direction) - cloud.moment, axis=1)
     assert apart.max() < 1e-11
@@ -55,18 +56,20 @@ def test_the_seed_decides_and_none_is_always_new(walk):
 
 @pytest.mark.parametrize(("fraction", "lines"), [(1.0, 4000), (0.5, 2000), (0.1, 400), (0.00026, 1), (1e-9, 1)])
 def test_a_fraction_of_different_points_is_lifted(walk, fraction, lines):
-    cloud, index = lift_indexed(walk, seed=0, fraction=fraction)
+    hidden = hide(walk, seed=0, fraction=fraction)
+    cloud, index = hidden.map, hidden.truth.index
     assert len(cloud) == len(index) == len(set(index)) == lines
 
 
 def test_a_subset_is_drawn_from_all_points(walk):
-    _, index = lift_indexed(walk, seed=0, fraction=0.25)
+    index = hide(walk, seed=0, fraction=0.25).truth.index
     assert kstest(index / len(walk), "uniform").pvalue > 1e-3
 
 
 def test_colours_follow_their_points(walk):
     rgb = np.random.default_rng(0).integers(0, 256, size=walk.shape).astype(np.uint8)
-    cloud, index = lift_indexed(walk, seed=0, fraction=0.5, rgb=rgb)
+    hidden = hide(walk, seed=0, fraction=0.5, rgb=rgb)
+    cloud, index = hidden.map, hidden.truth.index
     assert cloud.rgb is not None
     np.testing.assert_array_equal(cloud.rgb, rgb[index])
     assert lift(walk, seed=0).rgb is None
@@ -106,7 +109,8 @@ def stored(cloud: LineCloud, folder: Path) -> LineCloud:
 
 
 def test_the_order_of_the_lines_says_nothing_of_the_order_of_the_points(walk, tmp_path):
-    cloud, index = lift_indexed(walk, seed=100)
+    hidden = hide(walk, seed=100)
+    cloud, index = hidden.map, hidden.truth.index
     stored(cloud, tmp_path)
     truth = walk[index]
     rng = np.random.default_rng(0)
@@ -122,7 +126,8 @@ def test_the_order_of_the_lines_says_nothing_of_the_order_of_the_points(walk, tm
 def test_nothing_in_the_file_goes_with_the_position_on_the_line(tmp_path):
     # Another seed than the points': the same one would draw the points once more as directions.
     points = np.random.default_rng(0).normal(size=(20000, 3))
-    cloud, index = lift_indexed(points, seed=100)
+    hidden = hide(points, seed=100)
+    cloud, index = hidden.map, hidden.truth.index
     seen = stored(cloud, tmp_path)
     beta = np.sum(points[index] * seen.direction, axis=1)
     written = np.concatenate([seen.direction, seen.moment, seen.origin], axis=1)
@@ -188,7 +193,8 @@ def rounded_scenes() -> dict[str, tuple[np.ndarray, float]]:
 @pytest.mark.parametrize("name", rounded_scenes())
 def test_the_rounding_of_the_scene_does_not_give_its_points_away(name, tmp_path):
     points, step = rounded_scenes()[name]
-    cloud, index = lift_indexed(points, seed=100)
+    hidden = hide(points, seed=100)
+    cloud, index = hidden.map, hidden.truth.index
     seen = stored(cloud, tmp_path)
     some = np.random.default_rng(0).permutation(len(points))[:100]
     few = LineCloud(seen.direction[some], seen.moment[some])
@@ -209,7 +215,8 @@ def test_the_lattice_attack_finds_points_that_were_lifted_as_they_are(name):
 @pytest.mark.parametrize("name", rounded_scenes())
 def test_points_move_less_than_their_lattice_step(name):
     points, step = rounded_scenes()[name]
-    cloud, index = lift_indexed(points, seed=0)
+    hidden = hide(points, seed=0)
+    cloud, index = hidden.map, hidden.truth.index
     apart = np.linalg.norm(np.cross(points[index], cloud.direction) - cloud.moment, axis=1)
     assert apart.max() < np.sqrt(3) / 2 * step * 1.001
     assert np.median(apart) > 0.01 * step
@@ -236,5 +243,6 @@ def test_far_points_do_not_coarsen_the_rounding_of_near_ones():
 
 @pytest.mark.parametrize("points", [np.zeros((4, 3)), np.full((3, 3), 1e30 / 3), np.full((3, 3), 1e-320)])
 def test_points_of_no_or_of_any_size_can_be_lifted(points):
-    cloud, index = lift_indexed(points, seed=0)
+    hidden = hide(points, seed=0)
+    cloud, index = hidden.map, hidden.truth.index
     assert np.isfinite(cloud.moment).all() and len(index) == len(points)

@@ -15,7 +15,8 @@ from l2p.show.stance import Stance
 
 @pytest.fixture
 def exhibit(scene_points, rng) -> Exhibit:
-    lines, index = l2p.lift_indexed(scene_points, seed=0)
+    hidden = l2p.hide(scene_points, seed=0)
+    lines, index = hidden.map, hidden.truth.index
     return Exhibit(
         points=scene_points[index],
         lines=lines,
@@ -32,7 +33,8 @@ def floats(text: str) -> np.ndarray:
 
 
 def test_every_kind_of_file_can_be_looked_at(tmp_path, scene_points, tiny_checkpoint):
-    lines, index = l2p.lift_indexed(scene_points, seed=0)
+    hidden = l2p.hide(scene_points, seed=0)
+    lines, index = hidden.map, hidden.truth.index
     l2p.save(lines, tmp_path / "lines.npz")
     l2p.save(l2p.Truth(scene_points[index], index, 1.0), tmp_path / "truth.npz")
     recovery = l2p.recover(lines, "tomography")

@@ -47,7 +47,7 @@ def found(tiny_checkpoint) -> l2p.Audit:
 @pytest.fixture(scope="module")
 def report(found, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("pages") / "report"
-    found.save(folder, command=f"l2p audit '{HOSTILE}' -o report")
+    l2p.save_report(found, folder, command=f"l2p audit '{HOSTILE}' -o report")
     return folder / "index.html"
 
 

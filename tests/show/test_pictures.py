@@ -7,7 +7,7 @@ import pytest
 
 from l2p.maps.lines import LineCloud
 from l2p.maps.scene import Scene
-from l2p.schemes.uniform import lift
+from l2p.schemes.hide import lift
 from l2p.show.pictures import Box, Camera, Captions, draw_attack
 
 CAPTIONS = Captions("title", ("a", "b"), ("c", "d"), ("e", "f"), "g")

@@ -201,8 +201,9 @@ def test_references_and_users_own_attacks_are_shared_and_resumed_alike(
     name: str, on_walls: Callable[[int], np.ndarray]
 ) -> None:
     points = on_walls(3 * BLOCK + 32)
-    lines, index = l2p.lift_indexed(points, seed=0)
-    attacks = [REFERENCES[name](points[index]) for _ in range(3)]
+    hidden = l2p.hide(points, seed=0)
+    lines = hidden.map
+    attacks = [REFERENCES[name](hidden.truth.xyz) for _ in range(3)]
     whole = attack.run(lines, attacks[0])
     shared, _ = in_processes(2, lambda shards: recovered(lines, attacks[shards.rank], shards))
     assert shared is not None

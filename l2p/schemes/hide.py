@@ -1,0 +1,124 @@
+"""Hiding: from the points of a scene to a line cloud that does not show them, and the truth that stays behind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from l2p.checks import finite_rows
+from l2p.errors import InputError
+from l2p.maps.lines import LineCloud
+from l2p.maps.scene import Scene
+from l2p.maps.truth import Hiding
+from l2p.schemes.scheme import DEFAULT_SCHEME, scheme_of
+
+_STREAM = 0x11FE
+
+
+def hide(
+    points: Float[np.ndarray, "points 3"] | Scene,
+    seed: int | None = None,
+    fraction: float = 1.0,
+    scheme: str = DEFAULT_SCHEME,
+    rgb: UInt8[np.ndarray, "points 3"] | bool | None = None,
+) -> Hiding:
+    """Hide points in a line cloud, and keep the truth.
+
+    Parameters
+    ----------
+    points : (points, 3) float or Scene
+        Points in scene units, or a scene, whose ids go to the truth.
+    seed : int, optional
+        Seed of directions and subset. None draws one from the system: whoever can guess the seed can redraw the
+        directions in the order of the points, so a line cloud that is to be published is lifted without one.
+    fraction : float
+        Share of the points that is hidden, in (0, 1]; at least one point is kept.
+    scheme : str
+        A name of :data:`l2p.schemes.scheme.SCHEMES`. ``uniform``: a line of random direction through each point
+        (Speciale et al., CVPR 2019).
+    rgb : (points, 3) uint8 or bool, optional
+        Colours to store with the lines; True stores those of the scene. They help an attacker; leave them out of a
+        published map.
+
+    Returns
+    -------
+    Hiding
+        The lines, ordered by direction, and the truth: ``truth.xyz[i]`` lies behind line ``truth.element[i]``. Its
+        spacing is not measured.
+
+    Raises
+    ------
+    InputError
+        If there are no points, a point is not finite, the fraction is outside (0, 1], the scheme is unknown, or the
+        colours are not those of the points.
+
+    Notes
+    -----
+    What could reveal a point, and what is done about it:
+
+    - *Order*: SfM models store neighbours side by side. Lines are sorted by their direction, which is independent
+      of the point.
+    - *Sign and origin*: the direction is turned into one half-space and the moment says nothing about the position.
+    - *Rounding*: points that were once stored with few digits (single precision, text) lie on a lattice, and a line
+      in double precision comes close to one lattice point only: its own. Each point is therefore moved within its
+      lattice cell before it is lifted (:func:`l2p.schemes.rounding.lattice_step`); the shift is below the precision of
+      the input.
+
+    Examples
+    --------
+    >>> import numpy as np, l2p
+    >>> points = np.random.default_rng(1).normal(size=(200, 3))
+    >>> hidden = l2p.hide(points, seed=0, fraction=0.5)
+    >>> len(hidden.map), hidden.truth.xyz.shape
+    (100, (100, 3))
+    >>> bool((points[hidden.truth.index] == hidden.truth.xyz).all())
+    True
+    """
+    scene = points if isinstance(points, Scene) else Scene(points)
+    xyz = finite_rows("points", scene.xyz)
+    if len(xyz) == 0:
+        raise InputError("got a scene without points; expected at least one point to lift")
+    if not 0 < fraction <= 1:
+        raise InputError(f"got fraction {fraction}; expected a number in (0, 1], the share of the points to lift")
+    way, colour = scheme_of(scheme), _colours(scene, rgb)
+    # A stream of its own: default_rng(seed) may have drawn the points, and would draw them again as directions.
+    rng = np.random.default_rng(None if seed is None else [seed, _STREAM])
+    hidden = way.hide(xyz, _subset(len(xyz), fraction, rng), rng, colour)
+    ids = None if scene.ids is None else scene.ids[hidden.truth.index]
+    return replace(hidden, truth=replace(hidden.truth, ids=ids, seed=seed))
+
+
+def lift(
+    points: Float[np.ndarray, "points 3"] | Scene,
+    seed: int | None = None,
+    fraction: float = 1.0,
+    scheme: str = DEFAULT_SCHEME,
+    rgb: UInt8[np.ndarray, "points 3"] | bool | None = None,
+) -> LineCloud:
+    """The line cloud of :func:`hide`, without the truth.
+
+    >>> import numpy as np
+    >>> len(lift(np.zeros((4, 3)), seed=0))
+    4
+    """
+    return hide(points, seed, fraction, scheme, rgb).map
+
+
+def _subset(count: int, fraction: float, rng: np.random.Generator) -> Int[np.ndarray, " chosen"]:
+    if fraction == 1:
+        return np.arange(count)
+    return rng.choice(count, size=max(1, round(count * fraction)), replace=False)
+
+
+def _colours(scene: Scene, rgb: UInt8[np.ndarray, "points 3"] | bool | None) -> UInt8[np.ndarray, "points 3"] | None:
+    if rgb is None or rgb is False:
+        return None
+    if rgb is True:
+        if scene.rgb is None:
+            raise InputError("got rgb=True for points without colours; leave it out, or give the colours")
+        return scene.rgb
+    if rgb.shape != scene.xyz.shape:
+        raise InputError(f"got rgb of shape {rgb.shape}; expected {scene.xyz.shape}, one colour a point")
+    return rgb

@@ -1,0 +1,76 @@
+"""What a scheme is: any way to replace points by lines; and the names of the schemes, apart from their code."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+from l2p.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float, Int, UInt8
+
+    from l2p.maps.truth import Hiding
+
+DEFAULT_SCHEME = "uniform"
+
+#: Every scheme by its name: ``module:class``, loaded on use, so that ``l2p --help`` does not wait for NumPy.
+SCHEMES = {DEFAULT_SCHEME: "l2p.schemes.uniform:Uniform"}
+
+
+@runtime_checkable
+class Scheme(Protocol):
+    """A way to replace points by lines.
+
+    Attributes
+    ----------
+    name : str
+        As in :data:`SCHEMES` and in ``LineCloud.scheme``.
+    answers : int
+        Most points behind a line: 1, or 2 where lines go through pairs of points.
+    """
+
+    name: str
+    answers: int
+
+    def hide(
+        self,
+        points: Float[np.ndarray, "points 3"],
+        chosen: Int[np.ndarray, " chosen"],
+        rng: np.random.Generator,
+        rgb: UInt8[np.ndarray, "points 3"] | None,
+    ) -> Hiding:
+        """Draw the lines, in an order that says nothing of the points.
+
+        Parameters
+        ----------
+        points : (points, 3) float64
+            All points of the scene, scene units.
+        chosen : (chosen,) int64
+            Rows of the points to hide, in random order unless all are hidden.
+        rng : numpy.random.Generator
+            All randomness.
+        rgb : (points, 3) uint8 or None
+            Colours to store with the lines.
+
+        Returns
+        -------
+        Hiding
+            Its truth needs ``xyz``, ``index`` and, unless it is the identity, ``element``.
+        """
+        ...
+
+
+def scheme_of(name: str) -> Any:
+    """The :class:`Scheme` of that name.
+
+    Raises
+    ------
+    InputError
+        If there is no such scheme.
+    """
+    if name not in SCHEMES:
+        raise InputError(f"got scheme {name!r}; expected one of {', '.join(SCHEMES)}")
+    module, _, attribute = SCHEMES[name].partition(":")
+    return getattr(importlib.import_module(module), attribute)()
