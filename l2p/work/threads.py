@@ -2,7 +2,7 @@
 
 Torch's own threads share every single operation, and wait for each other after it. Blocks that fit the cache are far
 too small for that: on a busy machine, or with ``OMP_WAIT_POLICY=PASSIVE``, two such threads are slower than one
-(``benchmarks/block_threads.py``). Blocks that know nothing of each other need not wait.
+(``benchmarks/block_threads.py``). Independent blocks need no such waiting.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ import torch
 
 from l2p.work.memory import fitting, room, shared
 
-#: Blocks that wait for each thread, done or to be done, so that no thread waits for one.
+#: Queue depth per thread: blocks begun or finished, but not yet consumed, so that no thread is idle.
 _AHEAD = 2
-#: Threads that can be asked for: OpenMP crashes the process where the system does not give it as many.
+#: Most threads that are accepted: OpenMP crashes the process if the system refuses to start them.
 MOST_THREADS = 1024
 
 Found = TypeVar("Found")
 
 
 def even_size(count: int, most: int) -> int:
-    """The size of blocks of no more than ``most`` rows that gives each of torch's threads as many of them."""
+    """Size of blocks, at most ``most`` rows, that gives each of torch's threads the same number of blocks."""
     threads = torch.get_num_threads()
     return max(1, math.ceil(count / (threads * math.ceil(max(1, count) / (threads * most)))))
 
@@ -34,16 +34,16 @@ def even_size(count: int, most: int) -> int:
 def over_blocks(
     work: Callable[[slice], Found], count: int, size: int, device: torch.device | None = None, row_bytes: float = 0
 ) -> Iterator[tuple[slice, Found]]:
-    """What ``work`` makes of each block of ``size`` of ``count`` rows, in order.
+    """Yield the blocks of ``size`` of ``count`` rows and the results of ``work`` on them, in order.
 
-    As many blocks at a time as torch has threads, or as there is room for (:mod:`l2p.work.memory`) at ``row_bytes`` of
-    temporaries a row; one after the other on a device that is not the CPU. Torch has one thread meanwhile, and each
-    block its share of the room. The answer does not depend on the number of threads.
+    As many blocks run at a time as torch has threads, or as fit the room (:mod:`l2p.work.memory`) at ``row_bytes`` of
+    temporaries per row; on a device other than the CPU, one after the other. Until the iterator ends, torch has one
+    thread, in the caller, too. Each block has its share of the room. Results do not depend on the number of threads.
 
     Raises
     ------
     Exception
-        What ``work`` raises; no block is begun after it.
+        Whatever ``work`` raises; no block is begun after it.
     """
     size = fitting(size, row_bytes)
     blocks = [slice(begin, min(begin + size, count)) for begin in range(0, count, size)]
@@ -52,7 +52,7 @@ def over_blocks(
         yield from ((block, work(block)) for block in blocks)
         return
     workers = fitting(threads, size * row_bytes)
-    # These belong to a thread: the workers take them over.
+    # Thread-local state: the workers copy it.
     inference, gradients, share = torch.is_inference_mode_enabled(), torch.is_grad_enabled(), shared(workers)
 
     def worked(block: slice) -> Found:
