@@ -1,4 +1,4 @@
-"""What made a result: commit and sources."""
+"""Provenance of a result: the commit and a digest of the sources."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PACKAGE = Path(l2p.__file__).parent
 
 @cache
 def commit() -> str | None:
-    """The commit of the working tree, with ``+`` after it where the programs differ from it; None without git."""
+    """Commit of the working tree, followed by ``+`` if the programs differ from it; None without git."""
     head = _git("rev-parse", "HEAD")
     if not head:
         return None
@@ -23,7 +23,7 @@ def commit() -> str | None:
 
 @cache
 def source_digest(*names: str) -> str:
-    """A digest of the sources of l2p, or of the named files in it: it differs where results may."""
+    """Digest of the sources of l2p, or of the named files in it: 12 hex digits, which change with the sources."""
     files = [PACKAGE / name for name in names] or sorted(PACKAGE.rglob("*.py"))
     digest = hashlib.sha256()
     for file in files:
