@@ -24,9 +24,9 @@ _REFITS = 4
 #: Variance of a surface's roughness over the error variance along the lines.
 _ROUGHNESS = 0.03
 #: Cauchy scale: weight 1/2 at this squared distance from the plane, over the plane's least variance.
-_CAUCHY_SCALE = 0.5
+_DOUBT = 0.5
 #: Added to the confidence of every estimate, so that no weight is 0.
-_LEAST_WEIGHT = 0.05
+_LEAST = 0.05
 #: Least absolute cosine between a line and a normal; shallower lines are clamped to it.
 _GRAZING = 0.05
 #: Two least variances count as equal if they differ by less than this share of the greatest.
@@ -69,7 +69,7 @@ def fitted(
     confidence : (lines, k)
         In [0, 1].
     """
-    weight = confidence + _LEAST_WEIGHT
+    weight = confidence + _LEAST
     # Relative to their mean, so that single precision is enough; axes first, so that each is contiguous.
     mean = points.mean(dim=1, keepdim=True)
     position = (points - mean).permute(2, 0, 1).contiguous()
@@ -159,7 +159,7 @@ def _reweighted(
     """Factors on the weights of the estimates, given the plane of the last fit."""
     steep = _along(plane.normal, direction)
     off = _along(plane.normal, position).sub_((plane.centre * plane.normal).sum(dim=1, keepdim=True))
-    scale2 = plane.variance[:, :1].to(direction.dtype).clamp_min(1e-30) * _CAUCHY_SCALE
+    scale2 = plane.variance[:, :1].to(direction.dtype).clamp_min(1e-30) * _DOUBT
     return _ROUGHNESS / (steep.square_().add_(_ROUGHNESS) * off.square_().div_(scale2).add_(1))
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from l2p.geometry.local_planes import _CAUCHY_SCALE, _LEAST_WEIGHT, _REFITS, _ROUGHNESS, crossing, fitted, least_axis
+from l2p.geometry.local_planes import _DOUBT, _LEAST, _REFITS, _ROUGHNESS, crossing, fitted, least_axis
 
 
 def around(count: int, draw: torch.Generator, noise: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
@@ -26,7 +26,7 @@ def draw() -> torch.Generator:
 
 def slow_fit(points: np.ndarray, direction: np.ndarray, confidence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centre and normal, an estimate at a time."""
-    first = [c + _LEAST_WEIGHT for c in confidence]
+    first = [c + _LEAST for c in confidence]
     weight, step = list(first), 0
     while True:
         centre = np.sum([w * p for w, p in zip(weight, points, strict=True)], axis=0) / sum(weight)
@@ -37,7 +37,7 @@ def slow_fit(points: np.ndarray, direction: np.ndarray, confidence: np.ndarray) 
         for j, (p, d) in enumerate(zip(points, direction, strict=True)):
             steep = (vector[:, 0] @ d) ** 2
             off = (vector[:, 0] @ (p - centre)) ** 2
-            weight[j] = first[j] * _ROUGHNESS / (_ROUGHNESS + steep) / (1 + off / (_CAUCHY_SCALE * value[0]))
+            weight[j] = first[j] * _ROUGHNESS / (_ROUGHNESS + steep) / (1 + off / (_DOUBT * value[0]))
         step += 1
 
 
