@@ -1,4 +1,4 @@
-"""Memory: what a cell took, what is free, and how many cells fit side by side."""
+"""Memory: the peak of a cell, free memory, and how many cells fit side by side."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from pathlib import Path
 from l2p.work.memory import free_bytes
 
 STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
-#: Memory of a process with torch loaded, and what each line of its cell adds: above what every method of l2p takes
+#: Memory of a process with torch loaded, and memory per line of its cell, both GiB: above that of every method of l2p
 #: (``line_bytes``: 5 to 9 KiB).
 PROCESS_GIB = 0.5
 LINE_GIB = 20 / 2**20
 
 
 def estimate_gib(lines: float) -> float:
-    """An upper estimate of what a cell with that many lines takes."""
+    """Upper estimate of the memory of a cell with this many lines, GiB."""
     return PROCESS_GIB + LINE_GIB * lines
 
 
 def fitting(lines: Iterable[float], most: int) -> int:
-    """How many cells of these sizes (in lines) fit side by side whatever their order: at least 1, at most ``most``."""
+    """Number of cells of these sizes (lines) that fit side by side, in any order: at least 1, at most ``most``."""
     free = free_gib()
     count = 0
     for size in sorted(lines, reverse=True)[:most]:
@@ -40,16 +40,16 @@ def cores() -> int:
 
 
 def free_gib() -> float:
-    """Memory that is free or can be freed, in a container what it may still take; without end if nothing is known."""
+    """Memory that this process may still take, GiB; infinite if unknown."""
     free = free_bytes()
     return float("inf") if free is None else free / 2**30
 
 
 @contextmanager
 def measured_peak() -> Iterator[Callable[[], float | None]]:
-    """Gives a function for the largest resident memory of this process since the block began; None if nobody knows."""
+    """Yield a function that returns the peak resident memory (GiB) since the block began, or None if unknown."""
     try:
-        CLEAR.write_text("5", encoding="ascii")  # Linux forgets the peak so far
+        CLEAR.write_text("5", encoding="ascii")  # resets the peak, on Linux
     except OSError:
         yield lambda: None
     else:
@@ -57,8 +57,9 @@ def measured_peak() -> Iterator[Callable[[], float | None]]:
 
 
 def _entry(path: Path, name: str) -> float | None:
+    """An entry of a status file of Linux, in GiB."""
     try:
-        found = re.search(rf"^{name}:\s*(\d+) kB", path.read_text(encoding="ascii"), re.MULTILINE)
+        entry = re.search(rf"^{name}:\s*(\d+) kB", path.read_text(encoding="ascii"), re.MULTILINE)
     except OSError:
         return None
-    return int(found.group(1)) / 2**20 if found else None
+    return int(entry.group(1)) / 2**20 if entry else None

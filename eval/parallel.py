@@ -1,4 +1,4 @@
-"""Jobs one after the other, or in processes of their own, which end with this one however it ends."""
+"""Jobs one after the other, or in child processes, which end with this one however it ends."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from l2p.errors import InputError
 
 Job = TypeVar("Job")
 
-#: Seconds that a process has to end when it is told to.
+#: Seconds that a process has to end by itself.
 PATIENCE = 5.0
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a job did not end well: a sentence, and the place in the code where the sentence alone says too little."""
+    """Reason why a job failed: a sentence, and a traceback if the error is not the user's."""
 
     sentence: str
     place: str = ""
 
 
 def attempt(work: Callable[[Job], None], job: Job) -> Failure | None:
-    """Do the job; a failure is given back, since the other jobs are still wanted."""
+    """Do the job; a failure is returned, not raised, since the other jobs go on."""
     try:
         work(job)
     except (InputError, FileNotFoundError) as error:
@@ -46,18 +46,20 @@ def attempt(work: Callable[[Job], None], job: Job) -> Failure | None:
 def outcomes(
     work: Callable[[Job], None], jobs: Sequence[Job], processes: int, threads: int
 ) -> Generator[tuple[Job, Failure | None], None, None]:
-    """Do the jobs, in this process if one is enough; each with its failure, if it failed, in the order they end.
+    """Do the jobs, in this process if one is enough; yield each with its failure or None, in the order of ending.
 
     Parameters
     ----------
     work
-        A function of a module, since processes find it by its name.
+        A function at module level, since processes find it by name.
+    processes
+        Most processes at a time.
     threads
-        Torch's threads in each process.
+        Torch's threads per process.
 
     Notes
     -----
-    Close the iterator (``contextlib.closing``) to end the processes when it is left before its end.
+    Close the iterator (``contextlib.closing``), so that the processes end if it is left early.
     """
     processes = min(processes, len(jobs))
     if processes <= 1:
@@ -89,24 +91,24 @@ class _Worker(Generic[Job]):
     """A process that does one job at a time."""
 
     def __init__(self, work: Callable[[Job], None], threads: int) -> None:
-        # Not forked: torch's threads do not survive that.
+        # Spawned: torch's threads do not survive a fork.
         context = multiprocessing.get_context("spawn")
-        self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, work, threads))
+        self.pipe, child = context.Pipe()
+        self.process = context.Process(target=_serve, args=(child, work, threads))
         with _interrupts_held():
             self.process.start()
-        theirs.close()
+        child.close()
         self.alive = True
         self._job: Any = None
 
     def give(self, job: Job) -> None:
         """Begin a job."""
         self._job = job
-        with suppress(OSError):  # a process that is gone says so when its outcome is asked for
+        with suppress(OSError):  # ``outcome`` reports a process that is gone
             self.pipe.send(job)
 
     def outcome(self) -> tuple[Job, Failure | None]:
-        """The job, and why it failed; also when the process did not live to say so."""
+        """Return the job and its failure, or None; also if the process has died."""
         try:
             return self._job, self.pipe.recv()
         except (EOFError, OSError):
@@ -117,7 +119,7 @@ class _Worker(Generic[Job]):
             return self._job, Failure(f"its process ended with exit code {code}{killed}")
 
     def end(self) -> None:
-        """Let the process end, and make it if it does not."""
+        """Let the process end, and kill it if it does not."""
         self.pipe.close()
         self.process.join(PATIENCE)
         if self.process.is_alive():
@@ -126,8 +128,8 @@ class _Worker(Generic[Job]):
 
 
 def _serve(pipe: Connection, work: Callable[[Any], None], threads: int) -> None:
-    """What a process does: one job after the other, until nobody gives it more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this process
+    """Loop of a worker: does one job after the other until the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the parent, which ends this process
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(threads)
@@ -140,7 +142,7 @@ def _serve(pipe: Connection, work: Callable[[Any], None], threads: int) -> None:
 
 
 def _end_with_parent() -> None:
-    """End at once when the parent is gone, also in the middle of a job that nobody waits for."""
+    """End at once when the parent is gone, also in the middle of a job."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     wait([parent.sentinel])
@@ -149,7 +151,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C waits until the block is over; a process that is started in it does not hear of it while it loads."""
+    """Block SIGINT during the block; a process started in it inherits that, so Ctrl-C does not hit its start."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -7,17 +7,16 @@ from jaxtyping import Bool, Float, Int
 
 from l2p.errors import InputError
 
-#: Coordinates reach no farther from zero: products of a few of them are finite, also in single precision once they
-#: are counted in the size of the scene.
+#: Largest absolute coordinate: products of a few are finite, also in single precision in units of the scene's size.
 FARTHEST = 1e30
 
 
-#: What a number is that fails :func:`in_range`.
+#: Words for a number that fails :func:`in_range`.
 OUT_OF_RANGE = "NaN, infinite or beyond 1e30"
 
 
 def finite_rows(name: str, value: object) -> Float[np.ndarray, "lines 3"]:
-    """``value`` as a fresh (lines, 3) float64 array of numbers in range."""
+    """Copy ``value`` to a (lines, 3) float64 array; InputError if its shape, type or a number does not fit."""
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
         raise InputError(f"got {name} of type {array.dtype}; expected numbers")
@@ -41,12 +40,12 @@ def element_rows(value: object, rows: int) -> Int[np.ndarray, " rows"]:
 
 
 def in_range(array: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
-    """Which numbers are finite and of a size that can be computed with."""
+    """Whether each number is finite and at most ``FARTHEST`` from 0."""
     return np.abs(array) <= FARTHEST
 
 
 def _refuse(bad: np.ndarray, what: str, mend: str) -> None:
-    """Raise for the first line that ``bad`` marks."""
+    """Raise InputError if ``bad`` marks a line; ``mend`` is what the user can do."""
     if bad.any():
-        found = f"got {int(bad.sum())} line(s) with a {what}, first at line {int(np.argmax(bad))}"
-        raise InputError(f"{found}; {mend} (lines are counted from 0)")
+        message = f"got {int(bad.sum())} line(s) with a {what}, first at line {int(np.argmax(bad))}"
+        raise InputError(f"{message}; {mend} (lines are counted from 0)")

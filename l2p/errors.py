@@ -1,18 +1,18 @@
-"""The errors that the command line prints as one sentence: those that are the user's to mend, and lost processes."""
+"""Errors that the command line reports in one sentence."""
 
 
 class InputError(ValueError):
-    """Input that cannot be used: the message says what came, what was expected and what to do."""
+    """Input that cannot be used; the message names what came, what was expected and what to do."""
 
 
 class LostProcessError(RuntimeError):
-    """Another process that shares the work has ended before it was done."""
+    """Another process of the same run has ended before the work was done."""
 
 
 def sentence(error: Exception) -> str:
-    """What an error says, in one line; the system's own errors say a number and a name, so they are put into words."""
-    said = str(error)
+    """Message of an error in one line; that of an OSError without its number."""
+    message = str(error)
     if isinstance(error, OSError) and error.strerror is not None:
         reason = error.strerror.lower()
-        said = reason if error.filename is None else f"{error.filename}: {reason}"
-    return " ".join(said.split())
+        message = reason if error.filename is None else f"{error.filename}: {reason}"
+    return " ".join(message.split())

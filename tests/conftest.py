@@ -1,4 +1,4 @@
-"""What all tests share. Types and shapes of l2p are checked by the jaxtyping hook that pyproject.toml switches on."""
+"""Fixtures of all tests. Types and shapes of l2p are checked by the jaxtyping hook set in pyproject.toml."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder of real scenes beside the project; tests that need it are skipped where it is absent."""
+    """The folder of real scenes beside the project; tests that need it are skipped if it is absent."""
     folder = ROOT.parent / "shared"
     if not folder.is_dir():
         pytest.skip(f"needs the real scenes of {folder}, which is absent here")
@@ -27,7 +27,7 @@ def shared() -> Path:
 
 @pytest.fixture(scope="session")
 def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The file of a checkpoint with random weights and two rounds, and with facts as the training writes them."""
+    """A checkpoint file with random weights, two rounds, and facts as the training writes them."""
     import torch
 
     from l2p.attacks.learned.checkpoint import Checkpoint, save
@@ -54,12 +54,12 @@ def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """A generator of its own for each test."""
+    """A fresh generator for each test."""
     return np.random.default_rng(0)
 
 
 class Counter:
-    """A progress that shows nothing and counts the steps of its task."""
+    """Progress that is not shown; counts the steps of its task."""
 
     def __init__(self) -> None:
         self.done = self.total = 0
@@ -79,7 +79,7 @@ def counter() -> Counter:
 
 @pytest.fixture(scope="session")
 def on_walls() -> Callable[[int], np.ndarray]:
-    """Makes so many points on the walls of a room, (points, 3)."""
+    """A function that makes ``count`` points on the walls of a room, (count, 3)."""
 
     def make(count: int) -> np.ndarray:
         rng = np.random.default_rng(0)

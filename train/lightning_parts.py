@@ -1,4 +1,4 @@
-"""What Lightning is given besides the module: files that are whole or not there, and a table that is only added to."""
+"""Plugins for Lightning: atomic checkpoints, and a table of figures that is only appended to."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from l2p.io.atomic import atomic_file
 
 
 class AtomicCheckpoints(TorchCheckpointIO):
-    """Checkpoints are written beside their place and renamed: a kill leaves the old one or the new one."""
+    """Checkpoints replaced by renaming: a kill leaves the old one or the new one."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None) -> None:
-        """Write one."""
+        """Write a checkpoint to ``path``."""
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path, overwrite=True) as file:
             torch.save(checkpoint, file)
@@ -27,7 +27,7 @@ class AtomicCheckpoints(TorchCheckpointIO):
 class FigureTable(Logger):
     """``figures.csv`` with columns step, figure, value.
 
-    A resumed run adds to it; where steps were done twice, after a kill, the last row of a step counts.
+    A resumed run appends to it; if a step is done again after a kill, its last rows count.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -36,12 +36,12 @@ class FigureTable(Logger):
 
     @property
     def name(self) -> str:
-        """Nothing: the folder says it."""
+        """Empty: the folder identifies the run."""
         return ""
 
     @property
     def version(self) -> str:
-        """Nothing: the folder says it."""
+        """Empty: the folder identifies the run."""
         return ""
 
     @rank_zero_only
@@ -49,7 +49,7 @@ class FigureTable(Logger):
         """Add a row for each figure."""
         self.file.parent.mkdir(parents=True, exist_ok=True)
         _without_torn_row(self.file)
-        # A kill may leave a file that nothing was written to yet.
+        # A kill may leave an empty file.
         fresh = not self.file.exists() or not self.file.stat().st_size
         with self.file.open("a", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
@@ -58,11 +58,11 @@ class FigureTable(Logger):
             writer.writerows([step, name, f"{value:.6g}"] for name, value in metrics.items() if name != "epoch")
 
     def log_hyperparams(self, params: Any, *args: Any, **kwargs: Any) -> None:
-        """They are in config.yaml."""
+        """Do nothing: they are in config.yaml."""
 
 
 def _without_torn_row(file: Path) -> None:
-    """Take away a last row that a kill has cut; the next one would be glued to it."""
+    """Remove a last row that a kill has cut, or the next row would be joined to it."""
     if not file.exists():
         return
     with file.open("r+b") as table:

@@ -1,4 +1,4 @@
-"""What the network is trained for: true neighbours, the place of the point, and knowing when it is found."""
+"""Losses of the network: affinity of true neighbours, position of the point, and confidence."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from l2p.attacks.learned.edges import Edges
 from l2p.attacks.learned.learned import LearnedConfig, weighted_peak
 from l2p.attacks.learned.network import Judgement
 
-#: A candidate at this many local radii is as likely a true neighbour as not; labels fall over a fifth of that.
+#: Distance in local radii at which the label of a candidate is 1/2, and the scale of its sigmoid.
 BORDER, SOFTNESS = 1.25, 0.25
-#: Logarithm of the density that a line has where no candidate votes: outliers must not dominate.
+#: Logarithm of the least density at the true position: lines without correct votes must not dominate.
 BACKGROUND = -5.0
-#: Errors, in spacings, beyond which the probe of the states need not tell them apart.
+#: Range, in spacings, to which errors are clamped for the probe of the states.
 LEAST_ERROR, MOST_ERROR = 0.01, 100.0
 
 
 class Sample(NamedTuple):
-    """Some lines with their truth; ``true_beta`` is counted from the estimate before, as the votes are.
+    """Lines with their truth; ``true_beta`` is relative to the estimate of the last round, as votes are.
 
-    ``spacing`` is that of each line's cloud.
+    ``spacing`` is that of each line's cloud, frame units.
     """
 
     edges: Edges
@@ -34,13 +34,13 @@ class Sample(NamedTuple):
     spacing: Float[Tensor, " lines"]
 
     def to(self, device: torch.device) -> Sample:
-        """The same on another device."""
-        edges = Edges(*(part.to(device) for part in self.edges))
+        """Copy to another device."""
+        edges = Edges(*(column.to(device) for column in self.edges))
         return Sample(edges, self.label.to(device), self.true_beta.to(device), self.spacing.to(device))
 
 
 class Losses(NamedTuple):
-    """The terms of the loss, whose sum is trained; how far the estimates moved, and their error in spacings."""
+    """Terms of the loss, whose sum is minimised; displacements of the estimates, and their errors in spacings."""
 
     affinity: Float[Tensor, ""]
     position: Float[Tensor, ""]
@@ -56,7 +56,7 @@ class Losses(NamedTuple):
 
 
 def soft_labels(distance: Float[Tensor, "lines k"], radius: Float[Tensor, " lines"]) -> Float[Tensor, "lines k"]:
-    """Whether candidates are true neighbours: 1 near, 0 far, soft in between; ``radius`` is each line's local one."""
+    """Labels of candidates: 1 for true neighbours, 0 far away, soft between; ``radius`` is the local one."""
     reach = radius[:, None]
     return torch.sigmoid((BORDER * reach - distance) / (SOFTNESS * reach))
 
@@ -68,7 +68,7 @@ def losses(
     config: LearnedConfig,
     radii: Sequence[float],
 ) -> Losses:
-    """All terms; ``probe`` is what a linear layer reads from the states as the logarithm of the error."""
+    """Compute all terms; ``probe`` is the logarithm of the error as a linear layer predicts it from the states."""
     with torch.no_grad():
         moved = weighted_peak(judgement, config)
         error = (moved - sample.true_beta).abs() / sample.spacing
@@ -85,7 +85,7 @@ def losses(
 
 
 def affinity_loss(judgement: Judgement, sample: Sample) -> Float[Tensor, ""]:
-    """Cross entropy with the soft labels over the candidates that there are."""
+    """Mean cross entropy with the soft labels over valid candidates."""
     valid = sample.edges.valid
     entropy = functional.binary_cross_entropy_with_logits(
         judgement.affinity.masked_fill(~valid, 0.0), sample.label, reduction="none"
@@ -94,9 +94,9 @@ def affinity_loss(judgement: Judgement, sample: Sample) -> Float[Tensor, ""]:
 
 
 def position_loss(judgement: Judgement, sample: Sample) -> Float[Tensor, ""]:
-    """Minus the logarithm of the mixture of all votes at the true place, over a floor of outliers."""
-    apart = (judgement.place - sample.true_beta[:, None, None]) / judgement.spread
-    density = -torch.log1p(apart.square()) - (judgement.spread / sample.spacing[:, None, None]).log()
+    """Negative log density of the mixture of all votes at the true position, with a floor for outliers."""
+    residual = (judgement.place - sample.true_beta[:, None, None]) / judgement.spread
+    density = -torch.log1p(residual.square()) - (judgement.spread / sample.spacing[:, None, None]).log()
     share = functional.log_softmax(judgement.vote.flatten(1), dim=1)
     mixture = torch.logsumexp(share + density.flatten(1), dim=1)
     return -torch.logaddexp(mixture, torch.full_like(mixture, BACKGROUND)).mean()

@@ -1,4 +1,4 @@
-"""Which line clouds are trained on: every scene again and again, thinly and densely, each time lifted anew."""
+"""Line clouds for training: every scene again and again, at varying density, each time lifted anew."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from l2p.simulator import KINDS
 from train.clouds import CloudSource, read
 from train.train_config import DataSettings
 
-#: Simulated scenes are numbered from here on, away from the small seeds that people try.
+#: First seed of simulated scenes, far from the small seeds that people try.
 FIRST_SIMULATED = 10_000
-#: Share of the liftings that take as many lines as they may; the most of all lines, since the others are small.
+#: Share of the liftings with as many lines as allowed. They have most of all lines, since the others are small.
 _FULL = 0.2
 
 
@@ -24,9 +24,9 @@ _FULL = 0.2
 class Sources:
     """An endless list of line clouds: the n-th depends on the seed and n alone.
 
-    Scenes come in turns, in another order each time. A fifth of the liftings take all points of their scene, up to
-    ``max_lines``. The others are thinned so that the *lines* of all of them, which is what is learned from, are
-    log-uniform in the size of their cloud: clouds of n lines come in proportion to 1 / n^2.
+    Every scene comes once per turn, in another order each turn. A fifth of the liftings take all points of their scene,
+    up to ``max_lines``. The others are thinned such that a random *line* of theirs, the unit of training, is in a cloud
+    of log-uniform size: clouds of n lines have a frequency in proportion to 1 / n^2.
     """
 
     scenes: tuple[tuple[str, int], ...]
@@ -34,10 +34,10 @@ class Sources:
 
     @classmethod
     def of(cls, data: DataSettings) -> Sources:
-        """All training scenes: the given ones, without those that are held back, and the simulated ones."""
+        """Collect the training scenes: the given ones without those held back for validation, and simulated ones."""
         rng = np.random.default_rng([data.seed, 0])
-        held_back = set(_found(data.val))
-        scenes = [(scene, _points(scene)) for scene in _found(data.scenes) if scene not in held_back]
+        held_back = set(_sources(data.val))
+        scenes = [(scene, _points(scene)) for scene in _sources(data.scenes) if scene not in held_back]
         low, high = data.simulated_points
         for number in range(data.simulated):
             kind, points = KINDS[number % len(KINDS)], _log_uniform(low, high, rng)
@@ -47,9 +47,9 @@ class Sources:
         return cls(tuple(scenes), data)
 
     def __getitem__(self, number: int) -> CloudSource:
-        turn, place = divmod(number, len(self.scenes))
+        turn, rank = divmod(number, len(self.scenes))
         order = np.random.default_rng([self.data.seed, 1, turn]).permutation(len(self.scenes))
-        scene, points = self.scenes[order[place]]
+        scene, points = self.scenes[order[rank]]
         rng = np.random.default_rng([self.data.seed, 2, number])
         lines = most = min(points, self.data.max_lines)
         if rng.random() >= _FULL:
@@ -60,7 +60,7 @@ class Sources:
 def validation_sources(data: DataSettings) -> list[CloudSource]:
     """One lifting of each held-back scene at each fraction, never more than ``max_lines``."""
     sources: list[CloudSource] = []
-    for scene in _found(data.val):
+    for scene in _sources(data.val):
         points = _points(scene)
         for fraction in data.val_fractions:
             source = CloudSource(scene, round(min(fraction, data.max_lines / points), 6), 0)
@@ -69,14 +69,14 @@ def validation_sources(data: DataSettings) -> list[CloudSource]:
     return sources
 
 
-def _found(entries: tuple[str, ...]) -> list[str]:
-    """Scenes by names that do not depend on where the program is started."""
+def _sources(entries: tuple[str, ...]) -> list[str]:
+    """Sources of the scenes, with absolute paths, so that they do not depend on the working directory."""
     sources = [scene.source for scene in scenes_of(entries, {})]
     return [source if source.startswith("sim:") else str(Path(source).resolve()) for source in sources]
 
 
 def _points(scene: str) -> int:
-    """How many points a scene has; one without extent is refused at once, and not when its turn comes."""
+    """Number of points of a scene; InputError at the start, not at its turn, if it has no extent."""
     points = read(scene).xyz
     try:
         spacing(points)
@@ -86,9 +86,10 @@ def _points(scene: str) -> int:
 
 
 def _log_uniform(low: int, high: int, rng: np.random.Generator) -> int:
+    """Draw a number with density in proportion to 1 / n."""
     return int(np.exp(rng.uniform(np.log(low), np.log(high))).round())
 
 
 def _thinned(low: int, high: int, rng: np.random.Generator) -> int:
-    """A number with a density in proportion to its inverse square."""
+    """Draw a number with density in proportion to 1 / n^2."""
     return round(1 / rng.uniform(1 / high, 1 / low))

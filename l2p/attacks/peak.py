@@ -1,13 +1,12 @@
-"""The densest place among the votes along each line: Kuiper's statistic, applied recursively.
+"""The densest position among the votes along each line, by Kuiper's statistic applied recursively.
 
-The empirical distribution function F of the votes (weighted by affinity where there is one) is held against the
-uniform distribution U between the lowest and the highest vote. A peak begins where F - U is least and ends where it
-is greatest; the difference of the two extremes is Kuiper's statistic V. The search is repeated inside the peak until
-the votes that it was sought among look uniform, V < threshold; the answer is the median of what is left (Chelani et
-al., CVPR 2021, section 4.2 and appendix).
+The empirical distribution function F of the votes (weighted by affinity if given) is compared with the uniform
+distribution U between the lowest and the highest vote. A peak begins where F - U is least and ends where it is
+greatest; the difference of the two extremes is Kuiper's statistic V. The search is repeated inside the peak until the
+votes in it look uniform, V < threshold; the answer is the median of the votes left (Chelani et al., CVPR 2021,
+section 4.2 and appendix).
 
-Where the size of each vote's error is known, the median is not the last word: votes around the peak are measurements
-of one place, some of them finer than others (:func:`settled`).
+If the spread of each vote is known, an M-estimate refines the median (:func:`settled`).
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-#: Statistics that differ by less than this differ by rounding.
+#: Statistics that differ by less are equal up to rounding.
 _EQUAL = 1e-6
 
 
@@ -31,7 +30,7 @@ class PeakConfig:
     Attributes
     ----------
     threshold : float
-        Stop when Kuiper's statistic falls below it (0.4 in the paper's text, 0.3-0.4 in its appendix).
+        Stop when Kuiper's statistic falls below this (0.4 in the paper's text, 0.3-0.4 in its appendix).
     minimum : int
         Stop when no more votes than this are left.
     trim : int
@@ -45,7 +44,7 @@ class PeakConfig:
 
 
 class _Votes(NamedTuple):
-    """Votes sorted along each line and packed to the left: ``count`` of them, the rest is padding of weight 0."""
+    """Votes sorted along each line: ``count`` of them, then padding of weight 0."""
 
     beta: Float[Tensor, "lines k"]
     weight: Float[Tensor, "lines k"]
@@ -82,7 +81,7 @@ def find_peak(
     while len(active):
         low, high, value = _interval(inner)
         length = high - low + 1
-        # The interval holds even where its statistic ends the search, as in the published code.
+        # The interval is taken even if its statistic ends the search, as in the published code.
         again = (value >= config.threshold) & (length > config.minimum) & (length < inner.count)
         first[active] += low
         count[active] = length
@@ -99,20 +98,19 @@ def settled(
     spread: Float[Tensor, "lines k"],
     steps: int,
 ) -> Float[Tensor, " lines"]:
-    """Where votes that err by ``spread`` settle, from a peak of them on.
+    """Refine peaks by an M-estimate of location, for votes with Cauchy errors of scale ``spread``.
 
-    The M-estimate of location for errors of Cauchy's distribution: the least of
-    sum_k w_k log(1 + ((beta - p_k) / s_k)^2) near the peak, by iteratively reweighted least squares (Holland and
-    Welsch, Communications in Statistics 6, 1977). Votes of another peak hardly count.
+    Minimises sum_k w_k log(1 + ((beta - p_k) / s_k)^2) from the peak on, by iteratively reweighted least squares
+    (Holland and Welsch, Communications in Statistics 6, 1977). Votes of other peaks have little weight.
 
     Parameters
     ----------
     beta : (lines,)
         Peaks, positions along the line.
     place, weight, spread : (lines, k)
-        Votes, at least one of which has a weight; ``spread`` is above 0.
+        Votes, at least one per line with ``weight`` above 0, and their scales, above 0.
     steps : int
-        Reweightings.
+        Number of reweightings.
     """
     variance = spread.square()
     for _ in range(steps):
@@ -123,6 +121,7 @@ def settled(
 
 
 def _packed(beta: Float[Tensor, "lines k"], weight: Float[Tensor, "lines k"]) -> _Votes:
+    """Sort the votes; absent ones go to the end."""
     absent = ~torch.isfinite(beta) | ~(weight > 0)
     beta = beta.masked_fill(absent, torch.inf)
     order = _order(beta)
@@ -131,7 +130,7 @@ def _packed(beta: Float[Tensor, "lines k"], weight: Float[Tensor, "lines k"]) ->
 
 
 def _order(beta: Float[Tensor, "lines k"]) -> Int[Tensor, "lines k"]:
-    """What sorts the votes of each line; equal votes come in any order."""
+    """Indices that sort the votes of each line; equal votes in any order."""
     if beta.device.type != "cpu":
         return beta.argsort(dim=1)
     # NumPy sorts with the processor's vector instructions, several times as fast as torch does.
@@ -139,17 +138,18 @@ def _order(beta: Float[Tensor, "lines k"]) -> Int[Tensor, "lines k"]:
 
 
 def _trimmed(votes: _Votes, config: PeakConfig) -> _Votes:
+    """Drop the lowest and the highest votes."""
     if config.trim == 0:
         return votes
     trim = ((votes.count - config.minimum) // 2).clamp(0, config.trim)
-    everything = torch.arange(len(votes.count), device=votes.count.device)
-    return _slice(votes, everything, trim, votes.count - 2 * trim)
+    rows = torch.arange(len(votes.count), device=votes.count.device)
+    return _slice(votes, rows, trim, votes.count - 2 * trim)
 
 
 def _slice(
     votes: _Votes, rows: Int[Tensor, " some"], first: Int[Tensor, " some"], count: Int[Tensor, " some"]
 ) -> _Votes:
-    """Votes first ... first + count - 1 of the chosen lines, packed to the left and as narrow as they allow."""
+    """Votes first ... first + count - 1 of the lines ``rows``, with no more padding than needed."""
     width = int(count.max()) if len(count) else 0
     position = torch.arange(width, device=count.device)
     absent = position >= count[:, None]
@@ -181,7 +181,7 @@ def _interval(votes: _Votes) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines
 def _best_segment(
     before: Float[Tensor, "lines k"], after: Float[Tensor, "lines k"]
 ) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines"], Float[Tensor, " lines"]]:
-    """Cut where U overtakes F between two votes; each segment then falls to a least F - U and rises to a greatest."""
+    """Cut the line where U overtakes F between two votes; the segment of greatest statistic is the peak."""
     cut = (after[:, :-1] > 0) & (before[:, 1:] <= 0)
     segment = torch.nn.functional.pad(cut.cumsum(dim=1), (1, 0))
     segments = int(segment.max()) + 1
@@ -190,11 +190,11 @@ def _best_segment(
     highest = before.new_full(shape, -torch.inf).scatter_reduce(1, segment, after, "amax")
     value = highest - lowest
     greatest = value.amax(dim=1)
-    # Evenly spaced votes stand alone, each a segment as good as the others: equals are kept together, so that the
-    # direction of the line does not choose between them.
-    here = torch.gather(value >= greatest[:, None] - _EQUAL, 1, segment)
-    starts = here & (before == torch.gather(lowest, 1, segment))
-    ends = here & (after == torch.gather(highest, 1, segment))
+    # Evenly spaced votes are segments of one vote and equal statistic: the interval spans all of the best segments, so
+    # that it does not depend on the sign of the line.
+    best = torch.gather(value >= greatest[:, None] - _EQUAL, 1, segment)
+    starts = best & (before == torch.gather(lowest, 1, segment))
+    ends = best & (after == torch.gather(highest, 1, segment))
     low, last = starts.int().argmax(dim=1), ends.flip(1).int().argmax(dim=1)
     return low, before.shape[1] - 1 - last, greatest
 

@@ -1,14 +1,13 @@
 """The working frame: a centre, axes and a unit computed from the lines alone.
 
-Everything an attack measures is divided by this unit, counted from this centre and along these axes, so the answer does
-not depend on where the scene lies, how it is turned and scaled, and single precision is enough inside, however far the
-scene's coordinates are from zero.
+Attacks compute in this frame, so their answer does not depend on the position, rotation and scale of the scene, and
+single precision is enough however far the scene is from its origin.
 
-Attacks choose between places that are all but equally good, and round after round a choice moves others: what differs
-in the last digit at first differs visibly in the end (``docs/experiments.md``, "Invariance"). So lines that are the
-same up to a similarity, their order and their signs must enter as the *same numbers*. The frame is therefore found in
-double precision to the last digits, directions get one sign, and coordinates are rounded to ``DIGITS`` binary digits:
-what double precision leaves of a difference hardly ever lies across the border of two rounded numbers.
+Attacks choose between positions that are almost equally good, and every choice changes the votes of the next round: a
+difference in the last digit grows until it is visible (``docs/experiments.md``, "Invariance"). So lines that are equal
+up to a similarity, their order and their signs must enter as the *same numbers*. The frame is computed in double
+precision, directions get a canonical sign, and coordinates are rounded to ``DIGITS`` binary digits, which removes
+almost all rounding errors of double precision.
 """
 
 from __future__ import annotations
@@ -24,9 +23,10 @@ from torch import Tensor
 from l2p.geometry.elements import Lines
 from l2p.maps.lines import LineCloud
 
-#: Binary digits that are kept of directions, and of feet in frame units (of farther feet fewer): 2^-22 of the unit is
-#: far below any spacing.
+#: Binary digits after the point that rounding leaves to directions and to feet in frame units (fewer to feet beyond 1
+#: unit): 2^-22 of the unit is far below any spacing.
 DIGITS = 22
+#: Most steps in the search of the centre, and the step, over the mean distance of the lines, at which it stops.
 _ROUNDS = 100
 _TOLERANCE = 1e-15
 
@@ -40,10 +40,10 @@ class Frame:
     center : (3,) float64
         The point with the least sum of distances to the lines, scene units.
     unit : float
-        Median distance of the lines from it, scene units.
+        Median distance of the lines from the centre, scene units.
     axes : (3, 3) float64
-        Right-handed axes as columns: principal axes of the feet of the lines, far ones damped, each pointing to where
-        the feet are skewed.
+        Right-handed axes as columns: principal axes of the feet of the lines (distant feet damped), pointing in the
+        direction of their skewness.
     """
 
     center: Float[np.ndarray, "3"]
@@ -52,14 +52,14 @@ class Frame:
 
     @classmethod
     def of(cls, cloud: LineCloud) -> Frame:
-        """The frame of a line cloud.
+        """Compute the frame of a line cloud.
 
         Notes
         -----
-        Iteratively reweighted least squares (Weiszfeld) on sum_i |(I - d d^T)(x - o_i)|, O(lines) a round. Parallel
-        lines and a single line leave a direction free; the least-norm step from the mean foot is taken there.
+        Iteratively reweighted least squares (Weiszfeld) on sum_i |(I - d d^T)(x - o_i)|, O(lines) per step. Parallel
+        lines and a single line leave a direction free; there, the step is the one of least norm from the mean foot.
         """
-        # Feet are taken from a point amid the lines, so that no digits are lost far from the origin.
+        # Feet relative to a point amid the lines, so that no digits are lost far from the origin.
         start = _meeting_point(cloud.direction, cloud.origin, np.ones(len(cloud)))
         foot = np.cross(cloud.direction, cloud.moment - np.cross(start, cloud.direction))
         step = np.zeros(3)
@@ -88,14 +88,14 @@ class Frame:
         return cls(np.array(values["center"]), values["unit"], np.array(values["axes"]))
 
     def enter(self, cloud: LineCloud, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> Lines:
-        """The lines as tensors in this frame, with one sign and rounded; all of it is done in double precision."""
-        direction, sign = self._turned(cloud)
+        """Transform lines into this frame, with canonical signs and rounded; computed in double precision."""
+        direction, sign = self._directions(cloud)
         direction *= sign
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         foot = np.cross(cloud.direction, cloud.moment - np.cross(self.center, cloud.direction)) @ self.axes / self.unit
         size = np.exp2(np.ceil(np.log2(np.maximum(np.abs(foot).max(axis=1, keepdims=True), 1.0))))
         moment = np.cross(_rounded(foot, size), direction)
-        return Lines(*(torch.as_tensor(part, dtype=dtype, device=device) for part in (direction, moment)))
+        return Lines(*(torch.as_tensor(column, dtype=dtype, device=device) for column in (direction, moment)))
 
     def enter_points(
         self,
@@ -103,16 +103,16 @@ class Frame:
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> Float[Tensor, "points 3"]:
-        """Scene points as a tensor in this frame."""
+        """Transform scene points into this frame."""
         return torch.as_tensor((points - self.center) @ self.axes / self.unit, dtype=dtype, device=device)
 
     def leave(self, cloud: LineCloud, beta: Float[Tensor, " lines"]) -> Float[np.ndarray, " lines"]:
-        """Positions along the lines, counted from the foot of this frame, as positions from the scene's own feet."""
+        """Convert positions along the lines from this frame (its feet and unit) to the scene (its feet and unit)."""
         along = cloud.direction @ self.center
-        return along + self.unit * self._turned(cloud)[1][:, 0] * beta.double().cpu().numpy()
+        return along + self.unit * self._directions(cloud)[1][:, 0] * beta.double().cpu().numpy()
 
-    def _turned(self, cloud: LineCloud) -> tuple[Float[np.ndarray, "lines 3"], Float[np.ndarray, "lines 1"]]:
-        """Directions along the axes, rounded, and the sign that they are given on entering."""
+    def _directions(self, cloud: LineCloud) -> tuple[Float[np.ndarray, "lines 3"], Float[np.ndarray, "lines 1"]]:
+        """Rounded directions in this frame, and the signs (-1 or 1) that make them canonical."""
         direction = _rounded(cloud.direction @ self.axes, 1.0)
         return direction, _sign(direction)
 
@@ -120,22 +120,23 @@ class Frame:
 def _rounded(
     value: Float[np.ndarray, "lines 3"], size: float | Float[np.ndarray, "lines 1"]
 ) -> Float[np.ndarray, "lines 3"]:
-    """Numbers of at most ``size``, a power of two, with ``DIGITS`` binary digits."""
+    """Round numbers of at most ``size``, a power of two, to ``DIGITS`` binary digits."""
     step = size * 2.0**-DIGITS
     return np.rint(value / step) * step
 
 
 def _sign(direction: Float[np.ndarray, "lines 3"]) -> Float[np.ndarray, "lines 1"]:
-    """-1 for directions whose first number that is not 0 is below it, 1 for the others."""
+    """-1 where the first non-zero coordinate of a direction is negative, 1 elsewhere."""
     first = np.argmax(direction != 0, axis=1)[:, None]
     return np.where(np.take_along_axis(direction, first, axis=1) < 0, -1.0, 1.0)
 
 
 def _axes(foot: Float[np.ndarray, "lines 3"]) -> Float[np.ndarray, "3 3"]:
+    """The axes of a frame; ``foot`` is relative to its centre, in its unit."""
     foot = foot / np.sqrt(1 + np.sum(foot**2, axis=1, keepdims=True))
     axes = np.linalg.eigh(foot.T @ foot)[1]
     axes = axes * np.where(np.sum((foot @ axes) ** 3, axis=0) < 0, -1.0, 1.0)
-    # A mirror image of the lines would have another moment; the axes stay right-handed.
+    # The axes stay right-handed: in a mirror image the moments would differ.
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     return axes
 
@@ -143,7 +144,7 @@ def _axes(foot: Float[np.ndarray, "lines 3"]) -> Float[np.ndarray, "3 3"]:
 def _meeting_point(
     direction: Float[np.ndarray, "lines 3"], foot: Float[np.ndarray, "lines 3"], weight: Float[np.ndarray, " lines"]
 ) -> Float[np.ndarray, "3"]:
-    """The point with the least weighted sum of squared distances to the lines, the nearest one to the mean foot."""
+    """The point of least weighted sum of squared distances to the lines; if many, the nearest to the mean foot."""
     weight = weight / weight.sum()
     mean = weight @ foot
     apart = foot - mean
@@ -155,4 +156,5 @@ def _meeting_point(
 def _distance(
     direction: Float[np.ndarray, "lines 3"], foot: Float[np.ndarray, "lines 3"], point: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, " lines"]:
+    """Distance of ``point`` from each line."""
     return np.linalg.norm(np.cross(point - foot, direction), axis=1)

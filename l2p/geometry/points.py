@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 
 class NearestPoints(NamedTuple):
-    """Neighbours of each point, nearest first, self left out."""
+    """Neighbours of each point, nearest first, without the point itself."""
 
     index: Int[np.ndarray, "points k"]
     distance: Float[np.ndarray, "points k"]
@@ -18,9 +18,17 @@ class NearestPoints(NamedTuple):
 def nearest_neighbors(
     points: Float[np.ndarray, "points 3"], k: int, workers: int = -1, rows: slice | None = None
 ) -> NearestPoints:
-    """The k nearest other points of each point, or of those in ``rows``; points - 1 columns where k is larger.
+    """Find the k nearest other points of each point.
 
-    ``workers``: -1 for all cores.
+    Parameters
+    ----------
+    points : (points, 3)
+    k : int
+        Columns of the result; points - 1 if that is less.
+    workers : int
+        Threads; -1 for all cores.
+    rows : slice, optional
+        Points whose neighbours are wanted; all by default.
     """
     from scipy.spatial import KDTree
 
@@ -29,8 +37,8 @@ def nearest_neighbors(
     if k == 0:
         return NearestPoints(np.zeros((len(number), 0), dtype=np.int64), np.zeros((len(number), 0)))
     distance, index = map(np.asarray, KDTree(points).query(points[number], k + 1, workers=workers))
-    # Self is not always first: points that coincide with others come in any order.
-    own = index == number[:, None]
-    own[:, -1] |= ~own.any(axis=1)
-    keep = ~own
+    # The point itself is not always first: coincident points come in any order.
+    itself = index == number[:, None]
+    itself[:, -1] |= ~itself.any(axis=1)
+    keep = ~itself
     return NearestPoints(index[keep].reshape(-1, k).astype(np.int64), distance[keep].reshape(-1, k))

@@ -1,16 +1,15 @@
-"""The points nearest to each line by a tree of boxes: exact, without a look at every pair.
+"""Exact search of the points nearest to each line, by a tree of boxes.
 
 For a block of lines at a time,
 
-1. the radius that most likely holds the k nearest points of each line is read off a sample of all points
-   (:func:`_guess`);
+1. a sample of all points gives a radius per line that most likely holds its k nearest points (:func:`_guess`);
 2. leaves of the tree farther from a line than its radius are left out (:func:`l2p.geometry.tree.reach`);
-3. a sample of the points in the leaves that remain gives a smaller radius, which leaves fewer of them
-   (:func:`_tighten`);
-4. all points of these are measured, and the k nearest are chosen (:func:`_measure`, :func:`_choose`).
+3. a sample of the points in the remaining leaves gives a smaller radius, and fewer leaves (:func:`_tighten`);
+4. distances of all points in these leaves are computed, and the k nearest are chosen (:func:`_measure`,
+   :func:`_choose`).
 
-The radius is a guess, the answer is not: a line that finds fewer than k points within its radius is searched again
-with a larger one. Distances are counted in units of the points' scale throughout.
+The radius is a guess, but the answer is exact: lines with fewer than k points within their radius are searched again
+with a larger one. Distances are in units of the points' scale throughout.
 """
 
 from __future__ import annotations
@@ -29,29 +28,29 @@ from l2p.geometry.tree import Pairs, PointTree, reach
 from l2p.work.threads import even_size
 from l2p.work.work import Work
 
-#: Most lines of a block, and most pairs of its lines with leaves, and with points; where there are more, blocks become
-#: smaller.
+#: Most lines per block, and most line-leaf pairs and line-point pairs; a block with more pairs is halved.
 _BLOCK, _PAIRS = 1 << 14, 1 << 22
-#: Bytes of temporaries of a line and of a pair, each twice what it takes: both are there together.
+#: Bytes of temporaries per line and per pair, doubled because both live at once.
 _LINE_BYTES, _PAIR_BYTES = 3200, 80
-#: A block with no more pairs of lines and points than this is measured whole rather than made smaller.
+#: Most pairs of lines and points of the tree; up to these, a block is compared with all points and not halved.
 _ALL = 1 << 26
-#: Distances in a tile, which fits the cache.
+#: Distances per tile, which fits the cache.
 _TILE = 1 << 17
-#: Lines in one matrix product at a leaf. Products smaller than 32 x 4 x 4 are slow in torch.
+#: Lines per matrix product at a leaf: products smaller than 32 x 4 x 4 are slow in torch. A multiple of 8, as
+#: :func:`_nonzero` needs.
 _GROUP = 32
-#: Points of each leaf in the sample that makes the radius smaller, and the steps in which it does.
+#: Points per leaf in the sample that tightens the radius, and number of radii that are tried.
 _SAMPLE, _STEPS = 4, 64
-#: Samples are read at the rank that is due to them, and this many standard deviations more.
+#: Quantile of a sample that is used as radius: the expected rank plus this many standard deviations.
 _DEVIATIONS = 2.0
-#: Factors on the radius of lines that found too few points; what is left after these is measured against all points.
+#: Factors on the radius of lines that found too few points; after the last, they are compared with all points.
 _GROWTH = (1.5, 2.0, 4.0, 16.0, 256.0)
 
 
 class _Hits(NamedTuple):
     """Points within the radius of lines, in runs of the same line.
 
-    ``line`` and ``length`` belong to the runs. ``place`` is where in the leaves a point is, ``square`` its
+    ``line`` and ``length`` are per run; ``place`` is the index of a point in the flattened leaves, ``square`` is
     (distance / radius)^2.
     """
 
@@ -62,9 +61,9 @@ class _Hits(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """The k nearest points of each line where there are ``enough`` within its ``radius``.
+    """The k nearest points of each line, where ``enough`` of them are within its ``radius``.
 
-    ``pairs`` and ``hits`` are the numbers of leaves and of points that were reached.
+    ``pairs`` and ``hits`` count the leaves and the points within the radius.
     """
 
     index: Int[Tensor, "lines k"]
@@ -77,9 +76,9 @@ class _Found(NamedTuple):
 def nearest_points(
     tree: PointTree, lines: Lines, k: int, work: Work, title: str, first: int = 0
 ) -> Int[Tensor, "lines k"]:
-    """The k points nearest to each line in no order, point ``first + i`` being left out for line i.
+    """Find the k points nearest to each line, in no order, without the own point ``first + i`` of line i.
 
-    There are more than k points.
+    The tree must have more than k points.
     """
     count = len(lines.direction)
     index = torch.empty(count, k, dtype=torch.int32, device=lines.direction.device)
@@ -91,11 +90,11 @@ def nearest_points(
             missed = [rows[:0]]
             search = partial(_search, tree, lines, rows, growth * radius, k + 1, tighten=growth == 1)
             for block, found in work.over_blocks(search, len(rows), even_size(len(rows), _BLOCK), index.device):
-                part = rows[block]
-                index[part] = _without_own(found.index, part + first)
-                radius[part] = found.radius
-                missed.append(part[~found.enough])
-                advance(len(part) - len(missed[-1]))
+                searched = rows[block]
+                index[searched] = _without_own(found.index, searched + first)
+                radius[searched] = found.radius
+                missed.append(searched[~found.enough])
+                advance(len(searched) - len(missed[-1]))
             rows = torch.cat(missed)
         if len(rows):
             index[rows] = _without_own(_among_all(tree, lines.rows(rows), k + 1).index, rows + first)
@@ -114,35 +113,35 @@ def _search(
     *,
     tighten: bool,
 ) -> _Found:
-    """The points nearest to a block of rows, which are some of the lines."""
-    part = rows[block]
-    some = lines.rows(part)
-    found = _in_pieces(tree, some, radius[part], k, work, tighten=tighten)
+    """Search for the lines of a block of ``rows``, in halves if they have too many pairs."""
+    searched = rows[block]
+    some = lines.rows(searched)
+    found = _in_pieces(tree, some, radius[searched], k, work, tighten=tighten)
     if found is not None:
         return found
-    if len(part) == 1 or len(part) * tree.index.numel() <= _ALL:
+    if len(searched) == 1 or len(searched) * tree.index.numel() <= _ALL:
         return _among_all(tree, some, k)
     middle = (block.start + block.stop) // 2
     halves = slice(block.start, middle), slice(middle, block.stop)
     return _joined([_search(tree, lines, rows, radius, k, half, work, tighten=tighten) for half in halves])
 
 
-def _joined(parts: list[_Found]) -> _Found:
-    """What was found for parts of a block."""
-    index, enough, radius = (torch.cat(column) for column in list(zip(*parts, strict=True))[:3])
+def _joined(results: list[_Found]) -> _Found:
+    """Join the results of consecutive lines."""
+    index, enough, radius = (torch.cat(column) for column in list(zip(*results, strict=True))[:3])
     return _Found(index, enough, radius)
 
 
 def _without_own(found: Int[Tensor, "rows more"], own: Int[Tensor, " rows"]) -> Int[Tensor, "rows k"]:
-    """All but a line's own point; all but one where points that coincide with its own have crowded that out."""
+    """Drop each line's own point, or the last point if those that coincide with the own one displaced it."""
     same = found == own[:, None]
     last = found[:, -1:].clone()
-    at = torch.where(same.any(dim=1), same.byte().argmax(dim=1), found.shape[1] - 1)
-    return found.scatter_(1, at[:, None], last)[:, :-1]
+    column = torch.where(same.any(dim=1), same.byte().argmax(dim=1), found.shape[1] - 1)
+    return found.scatter_(1, column[:, None], last)[:, :-1]
 
 
 def _projection(lines: Lines) -> Float[Tensor, "lines 8"]:
-    """(e, a, f, b) so that a point p lies at (e . p + a, f . p + b) in the plane across each line."""
+    """(e, a, f, b) such that a point p projects to (e . p + a, f . p + b) in the plane orthogonal to each line."""
     direction, moment = lines
     first = torch.nn.functional.normalize(torch.linalg.cross(direction, crosswise(direction)), dim=1)
     second = torch.linalg.cross(direction, first)
@@ -160,26 +159,26 @@ def _squares(
 
 
 def _rank(k: int, share: float) -> int:
-    """The rank in a sample of this share that is most likely no nearer than rank k of all."""
+    """Rank in a sample of this share that is most likely at least as far as rank k among all points."""
     return math.ceil(k * share + _DEVIATIONS * math.sqrt(k * share))
 
 
 def _guess(tree: PointTree, lines: Lines, k: int, work: Work) -> Float[Tensor, " lines"]:
-    """A distance that most likely holds k points, by the sample of all."""
+    """A radius that most likely holds k points, from the sample of the whole tree."""
     size = tree.sample.shape[1]
     rank = min(_rank(k, size / tree.index.numel()), size)
 
     def guessed(block: slice, _: Work) -> Float[Tensor, " rows"]:
         square = _squares(_projection(lines.rows(block)), tree.sample)
-        # Minima of a few each: most of the nearest are in different ones, and there is less to choose from.
+        # Minima of groups: the nearest points are mostly in different groups, and topk has fewer candidates.
         while square.shape[1] >= 16 * rank:
             half = square.shape[1] // 2
             square = torch.minimum(square[:, :half], square[:, half : 2 * half])
         return torch.topk(square, rank, dim=1, largest=False, sorted=False).values.amax(dim=1)
 
     tiles = work.over_blocks(guessed, len(lines.direction), max(1, _TILE // size), lines.direction.device)
-    radius = torch.cat([lines.direction[:0, 0], *(part for _, part in tiles)]).sqrt()
-    # Where points coincide on a line, the distance is rounding alone, or 0. The same for all lines, whoever searches.
+    radius = torch.cat([lines.direction[:0, 0], *(square for _, square in tiles)]).sqrt()
+    # A floor, since points on the line have a distance of 0 or of rounding alone; the same for all lines and processes.
     rounding = 1e-6 * tree.sample[:3].norm(dim=0).median()
     return radius * (1 + 1e-5) + rounding + torch.finfo(radius.dtype).tiny ** 0.25
 
@@ -187,26 +186,26 @@ def _guess(tree: PointTree, lines: Lines, k: int, work: Work) -> Float[Tensor, "
 def _in_pieces(
     tree: PointTree, lines: Lines, radius: Float[Tensor, " lines"], k: int, work: Work, *, tighten: bool
 ) -> _Found | None:
-    """What ``_within`` finds for a block, by as many of its lines at a time as there is room for.
+    """Search a block by :func:`_within`, as many of its lines at a time as fit the memory.
 
-    None where the whole block has too many pairs: whether all points are measured must not depend on the room.
+    None if the whole block has too many pairs: whether all points are compared must not depend on the memory.
     """
     most = work.fitting(_PAIRS, _PAIR_BYTES)
-    left = list(torch.arange(len(radius), device=radius.device).split(work.fitting(_BLOCK, _LINE_BYTES)))[::-1]
-    parts: list[_Found] = []
-    while left:
-        rows = left.pop()
+    stack = list(torch.arange(len(radius), device=radius.device).split(work.fitting(_BLOCK, _LINE_BYTES)))[::-1]
+    results: list[_Found] = []
+    while stack:
+        rows = stack.pop()
         limit = most if len(rows) > 1 else _PAIRS
         found = _within(tree, lines.rows(rows), radius[rows], k, limit, tighten=tighten)
         if found is not None:
-            parts.append(found)
-            if max(sum(part.pairs for part in parts), sum(part.hits for part in parts)) > _PAIRS:
+            results.append(found)
+            if max(sum(result.pairs for result in results), sum(result.hits for result in results)) > _PAIRS:
                 return None
         elif limit < _PAIRS:
-            left += rows.split((len(rows) + 1) // 2)[::-1]
+            stack += rows.split((len(rows) + 1) // 2)[::-1]
         else:
             return None
-    return _joined(parts)
+    return _joined(results)
 
 
 def _within(
@@ -222,7 +221,7 @@ def _within(
     if tighten:
         smaller = radius * _tighten(tree, projection / radius[:, None], pairs, k)
         keep = torch.nonzero(pairs.margin >= (radius - smaller).index_select(0, pairs.line)).flatten()
-        pairs = Pairs(*(part.index_select(0, keep) for part in pairs))
+        pairs = Pairs(*(column.index_select(0, keep) for column in pairs))
         radius = smaller
     hits = _measure(tree, projection / radius[:, None], pairs, most)
     if hits is None:
@@ -235,14 +234,14 @@ def _within(
 def _tiles(
     points: Float[Tensor, "leaves 4 width"], projection: Float[Tensor, "lines 8"], pairs: Pairs
 ) -> Iterator[tuple[Int[Tensor, " rows"], Int[Tensor, " rows"], Float[Tensor, "rows width"]]]:
-    """Lines, leaves, and the squared distances of the points of each pair's leaf from its line, a tile at a time.
+    """Yield, tile by tile, the line and the leaf of each row, and squared distances of the leaf's points from the line.
 
-    Lines that share a leaf come in groups, padded with a line far from everything.
+    Lines that share a leaf are grouped; groups are padded with a line far from everything.
     """
     leaves, width = len(points), points.shape[2]
     size = torch.bincount(pairs.leaf, minlength=leaves)
     groups = (size + _GROUP - 1) // _GROUP
-    # Where the first pair of each leaf goes, less where it comes from.
+    # Position of the first pair of each leaf in the padded groups, minus its position in ``pairs``.
     shift = (groups.cumsum(0) - groups) * _GROUP - (size.cumsum(0) - size)
     place = shift.index_select(0, pairs.leaf).add_(torch.arange(len(pairs.leaf), device=shift.device))
     leaf = torch.repeat_interleave(groups)
@@ -258,7 +257,7 @@ def _tiles(
 
 
 def _tighten(tree: PointTree, projection: Float[Tensor, "lines 8"], pairs: Pairs, k: int) -> Float[Tensor, " lines"]:
-    """The share of the radius, which is 1 in the projection's units, that most likely holds k points."""
+    """Share of the radius (1 in units of the projection) that most likely holds k points."""
     points = tree.points[:, :, :_SAMPLE].contiguous()
     width = points.shape[2]
     steps = [pairs.line[:0]]
@@ -273,10 +272,10 @@ def _tighten(tree: PointTree, projection: Float[Tensor, "lines 8"], pairs: Pairs
 
 
 def _measure(tree: PointTree, projection: Float[Tensor, "lines 8"], pairs: Pairs, most: int) -> _Hits | None:
-    """The points within the radius, which is 1 in the projection's units; None where these are more than ``most``."""
+    """Find the points within the radius (1 in units of the projection); None for more than ``most``."""
     width = tree.points.shape[2]
-    parts = [_Hits(pairs.line[:0], pairs.line[:0].long(), pairs.line[:0], projection[:0, 0])]
-    found = 0
+    tiles = [_Hits(pairs.line[:0], pairs.line[:0].long(), pairs.line[:0], projection[:0, 0])]
+    count = 0
     for line, leaf, square in _tiles(tree.points, projection, pairs):
         near = _nonzero(square < 1)
         row = torch.div(near.int(), width, rounding_mode="floor")
@@ -285,15 +284,18 @@ def _measure(tree: PointTree, projection: Float[Tensor, "lines 8"], pairs: Pairs
         shift = (leaf - torch.arange(len(leaf), device=leaf.device)) * width
         place = shift.index_select(0, row).add_(near).int()
         square = square.view(-1).index_select(0, near)
-        parts.append(_Hits(line.index_select(0, run), length.index_select(0, run), place, square))
-        found += len(near)
-        if found > most:
+        tiles.append(_Hits(line.index_select(0, run), length.index_select(0, run), place, square))
+        count += len(near)
+        if count > most:
             return None
-    return _Hits(*map(torch.cat, zip(*parts, strict=True)))
+    return _Hits(*map(torch.cat, zip(*tiles, strict=True)))
 
 
 def _nonzero(mask: Bool[Tensor, "rows width"]) -> Int[Tensor, " true"]:
-    """Places in a flattened mask of which most is False in long stretches: looks at 8 at a time first."""
+    """Indices of True in a flattened mask that is mostly False: first tests 8 entries at a time, as one int64.
+
+    The size of the mask must be a multiple of 8.
+    """
     word = mask.view(-1).view(torch.int64)
     some = torch.nonzero(word).flatten()
     place = torch.nonzero(word.index_select(0, some).view(torch.bool)).flatten()
@@ -302,43 +304,43 @@ def _nonzero(mask: Bool[Tensor, "rows width"]) -> Int[Tensor, " true"]:
 
 
 def _choose(hits: _Hits, k: int, lines: int) -> tuple[Int[Tensor, "lines k"], Bool[Tensor, " lines"]]:
-    """Places of the k nearest hits of each line, in no order, and whether there are so many."""
-    # Keys of 16 bits are sorted in half the time.
+    """``place`` of the k nearest hits of each line, in no order, and whether there are as many."""
+    # 16-bit keys are sorted in half the time.
     order = torch.sort(hits.line.short() if lines <= 1 << 15 else hits.line, stable=True).indices
     length = hits.length.index_select(0, order)
     begin = (hits.length.cumsum(0) - hits.length).index_select(0, order)
     shift = begin - (length.cumsum(0) - length)
-    # Line after line, where its hits are.
+    # Row of each hit, sorted by line.
     hit = shift.repeat_interleave(length, output_size=len(hits.place))
     hit += torch.arange(len(hit), device=hit.device)
     square = hits.square.index_select(0, hit)
     number = torch.zeros(lines, dtype=torch.long, device=hit.device).index_add_(0, hits.line, hits.length)
     first = number.cumsum(0) - number
     place = torch.zeros(lines, k, dtype=torch.int32, device=hit.device)
-    # Lines with similar numbers of hits make a rectangle together.
+    # Lines with similar numbers of hits are padded to one rectangle.
     rows = number.argsort(descending=True)
     widths = number.index_select(0, rows).tolist()
     done = 0
     while done < lines and widths[done] >= k:
         width = widths[done]
-        part = rows[done : done + max(1, 2 * _TILE // width)]
+        block = rows[done : done + max(1, 2 * _TILE // width)]
         column = torch.arange(width, device=hit.device)
-        at = (first[part, None] + column).clamp_max_(len(square) - 1)
-        near = picked(square, at)
-        near.masked_fill_(column >= number[part, None], torch.inf)
-        best = torch.gather(at, 1, torch.topk(near, k, dim=1, largest=False, sorted=False).indices)
-        place[part] = hits.place.index_select(0, hit.index_select(0, best.view(-1))).view(-1, k)
-        done += len(part)
+        candidate = (first[block, None] + column).clamp_max_(len(square) - 1)
+        near = picked(square, candidate)
+        near.masked_fill_(column >= number[block, None], torch.inf)
+        best = torch.gather(candidate, 1, torch.topk(near, k, dim=1, largest=False, sorted=False).indices)
+        place[block] = hits.place.index_select(0, hit.index_select(0, best.view(-1))).view(-1, k)
+        done += len(block)
     return place, number >= k
 
 
 def _among_all(tree: PointTree, lines: Lines, k: int) -> _Found:
-    """The k nearest of all points."""
+    """Search by comparing each line with all points."""
     points = tree.points.transpose(0, 1).reshape(4, -1)
-    parts = []
-    for part in _projection(lines).split(max(1, 16 * _TILE // points.shape[1])):
-        square = _squares(part, points).nan_to_num_(nan=torch.inf)
-        parts.append(torch.topk(square, k, dim=1, largest=False, sorted=False).indices)
-    index = tree.index.view(-1)[torch.cat(parts)]
+    tiles = []
+    for tile in _projection(lines).split(max(1, 16 * _TILE // points.shape[1])):
+        square = _squares(tile, points).nan_to_num_(nan=torch.inf)
+        tiles.append(torch.topk(square, k, dim=1, largest=False, sorted=False).indices)
+    index = tree.index.view(-1)[torch.cat(tiles)]
     radius = torch.full_like(lines.direction[:, 0], torch.inf)
     return _Found(index, torch.ones_like(radius, dtype=torch.bool), radius)

@@ -1,4 +1,4 @@
-"""Outputs that are there whole or not at all: written beside their place and renamed when complete."""
+"""Atomic outputs: written under a temporary name beside the target, and renamed when complete."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from l2p.errors import InputError
 
 @contextmanager
 def atomic_file(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[BinaryIO]:
-    """A binary file to write that becomes ``path`` when the block ends well; else nothing is left behind.
+    """Open a binary file that becomes ``path`` if the block succeeds; otherwise nothing is left behind.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def atomic_file(path: str | PathLike[str], *, overwrite: bool = False) -> Iterat
 def atomic_folder(
     path: str | PathLike[str], *, overwrite: bool = False, replaceable: frozenset[str] = frozenset()
 ) -> Iterator[Path]:
-    """An empty folder to fill that becomes ``path`` when the block ends well; else nothing is left behind.
+    """Make an empty folder that becomes ``path`` if the block succeeds; otherwise nothing is left behind.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def atomic_folder(
 
 
 def check_file(path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Refuse an output file that cannot or must not be written, before the work that would fill it starts."""
+    """Raise InputError for an output file that cannot or must not be written, before the work for it starts."""
     if not os.path.basename(path):
         raise InputError(f"got {os.fspath(path)!r}; expected the name of a file to write")
     target = _target(path)
@@ -73,39 +73,40 @@ def check_file(path: str | PathLike[str], *, overwrite: bool = False) -> None:
         if target.is_dir():
             raise InputError(f"{path} is a folder; expected the name of a file to write")
         if target.exists() and not target.is_file():
-            raise InputError(f"{path} is not a regular file; choose another -o")
-        _check_place(path, overwrite)
+            raise InputError(f"{path} is not a regular file; choose another path")
+        _check_target(path, overwrite)
 
 
 def check_folder(
     path: str | PathLike[str], *, overwrite: bool = False, replaceable: frozenset[str] = frozenset()
 ) -> None:
-    """Refuse an output folder that cannot or must not be written, before the work that would fill it starts."""
+    """Raise InputError for an output folder that cannot or must not be written, before the work for it starts."""
     if not os.fspath(path):
         raise InputError("got an empty path; expected the name of a folder to write")
     target = _target(path)
     with _explained(path):
         if target.exists() and not target.is_dir():
             raise InputError(f"{path} is a file; expected the name of a folder to write")
-        _check_place(path, overwrite)
+        _check_target(path, overwrite)
         foreign = sorted(set(os.listdir(target)) - replaceable) if target.is_dir() else []
     if foreign:
-        raise InputError(f"{path} holds {foreign[0]}, which l2p did not write there; choose another -o")
+        raise InputError(f"{path} holds {foreign[0]}, which l2p did not write there; choose another path")
 
 
-def _check_place(path: str | PathLike[str], overwrite: bool) -> None:
+def _check_target(path: str | PathLike[str], overwrite: bool) -> None:
+    """Checks that files and folders share."""
     target = _target(path)
     if not target.parent.is_dir():
-        raise InputError(f"the folder of {path} does not exist; create it or choose another -o")
+        raise InputError(f"the folder of {path} does not exist; create it or choose another path")
     if target.exists() and not overwrite:
-        raise InputError(f"{path} exists; choose another -o or add --force")
-    # Tried, and not asked: what a folder allows is no promise of its file system.
+        raise InputError(f"{path} exists; choose another path, or replace it (--force, overwrite=True)")
+    # A trial write: permissions alone do not show whether the file system accepts files.
     with TemporaryFile(dir=target.parent):
         pass
 
 
 def _put_folder(source: Path, target: Path) -> None:
-    """Rename ``source`` to ``target``; a folder that stood there comes back if that fails."""
+    """Rename ``source`` to ``target``; if that fails, the old folder is restored."""
     if not target.exists():
         os.replace(source, target)
         return
@@ -120,18 +121,19 @@ def _put_folder(source: Path, target: Path) -> None:
 
 
 def _target(path: str | PathLike[str]) -> Path:
-    """Where links lead: the thing itself is replaced, not the link to it."""
+    """The path with links resolved: the file is replaced, not the link to it."""
     return Path(os.path.realpath(path))
 
 
 def _sibling(path: str | PathLike[str]) -> Path:
+    """A temporary name in the same folder, so that renaming is atomic."""
     target = _target(path)
     return target.with_name(f".l2p-{secrets.token_hex(8)}.tmp")
 
 
 @contextmanager
 def _explained(path: str | PathLike[str]) -> Iterator[None]:
-    """Turn the system's refusal to write into a sentence."""
+    """Raise InputError in place of an OSError of the block."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""COLMAP models through pycolmap: points in, and the same model out with its points moved."""
+"""COLMAP models, by pycolmap: reads points, and writes the same model with its points moved."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _TABLES = ("cameras", "images", "points3D", "rigs", "frames")
 #: The files of a model: what ``--force`` may replace in an output folder.
 MODEL_FILES = frozenset(f"{table}.{ending}" for table in _TABLES for ending in ("bin", "txt"))
 
-#: COLMAP's own mark of a point whose reprojection error is not known.
+#: COLMAP's value for an unknown reprojection error.
 NO_ERROR = -1.0
 
-# Mean errors beyond this many pixels are COLMAP's stand-in for a point behind one of its cameras.
+# Mean reprojection error, in pixels, from which on it is COLMAP's placeholder for a point behind one of its cameras.
 _BEHIND = 1e9
 
 
 def read_model(path: str | PathLike[str]) -> Any:
-    """The pycolmap.Reconstruction in a model folder (bin or txt).
+    """Read a model folder (bin or txt) as a ``pycolmap.Reconstruction``.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def read_model(path: str | PathLike[str]) -> Any:
         raise InputError(f"{path} is not a folder; expected a COLMAP model folder")
     if is_binary(path):
         _check_sizes(path)
-    # What COLMAP logs about a damaged model is said by the error.
+    # COLMAP's log of a damaged model is silenced; the InputError gives the reason.
     level, pycolmap.logging.minloglevel = pycolmap.logging.minloglevel, int(pycolmap.logging.FATAL)
     try:
         model = pycolmap.Reconstruction(str(path))
@@ -88,7 +88,7 @@ def save_recovered_model(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the model of ``model_path`` with its points moved to where an attack put them.
+    """Write the model of ``model_path`` with its points moved to the recovered positions.
 
     Parameters
     ----------
@@ -100,10 +100,15 @@ def save_recovered_model(
     out_path : path
         A folder; written whole or not at all, in the format (bin or txt) of the input, never onto the input.
 
+    Raises
+    ------
+    InputError
+        If the output must not be written, the model is damaged, or an id is repeated or not in the model.
+
     Notes
     -----
-    Reprojection errors are computed anew for the moved points; where a point came to lie behind a camera that sees
-    it, the error is -1, COLMAP's mark of an unknown one. Cameras and poses are those of the input.
+    Reprojection errors are computed anew for the moved points; for a point that is now behind a camera that sees it,
+    the error is -1, COLMAP's value for an unknown one. Cameras and poses are those of the input.
     """
     check_model_output(model_path, out_path, overwrite=overwrite)
     if len(ids) != len(xyz):
@@ -115,22 +120,22 @@ def save_recovered_model(
             model.write_binary(str(folder))
         else:
             model.write_text(str(folder))
-        # COLMAP does not notice a full disk.
+        # COLMAP does not report a full disk.
         _check_written(folder, model)
 
 
 def check_model_output(
     model_path: str | PathLike[str], out_path: str | PathLike[str], *, overwrite: bool = False
 ) -> None:
-    """Refuse an output folder that is, holds or lies in the input model, or that must not be written."""
+    """Raise InputError for an output folder that is, holds or lies in the input model, or must not be written."""
     source, target = os.path.realpath(model_path), os.path.realpath(out_path)
     if os.path.commonpath([source, target]) in (source, target):
-        raise InputError(f"{out_path} and the model {model_path} share a folder; choose an -o apart from the model")
+        raise InputError(f"{out_path} and the model {model_path} share a folder; choose another output folder")
     check_folder(out_path, overwrite=overwrite, replaceable=MODEL_FILES)
 
 
 def check_ids(model_path: str | PathLike[str], ids: Int[np.ndarray, " points"]) -> Any:
-    """The model, if it has every one of the points, and none is named twice."""
+    """Read the model; InputError if it lacks one of the point ids, or an id is repeated."""
     model = read_model(model_path)
     wanted = {int(key) for key in ids}
     if len(wanted) != len(ids):
@@ -149,8 +154,8 @@ def _move_points(model: Any, ids: Int[np.ndarray, " points"], xyz: Float[np.ndar
     for key in set(model.point3D_ids()) - wanted:
         model.delete_point3D(key)
     points = model.points3D
-    for key, place in zip(ids, xyz, strict=True):
-        points[int(key)].xyz = place
+    for key, position in zip(ids, xyz, strict=True):
+        points[int(key)].xyz = position
     model.update_point_3d_errors()
     for key in wanted:
         if not points[key].error < _BEHIND:
@@ -158,7 +163,7 @@ def _move_points(model: Any, ids: Int[np.ndarray, " points"], xyz: Float[np.ndar
 
 
 def _check_written(folder: Path, model: Any) -> None:
-    """Read the written model back; what COLMAP could not write in full fails here."""
+    """Read the written model back; OSError if it is not complete."""
     try:
         complete = read_model(folder).num_points3D() == model.num_points3D()
     except InputError:
@@ -168,7 +173,7 @@ def _check_written(folder: Path, model: Any) -> None:
 
 
 def _check_sizes(path: str | PathLike[str]) -> None:
-    """Refuse truncated binary tables: COLMAP reads on past the end of a file, for hours if a count is damaged."""
+    """Refuse truncated binary tables: COLMAP reads past the end of a file, for hours if a count is damaged."""
     walks = {"points3D": _walk_points, "images": _walk_images, "rigs": _walk_rigs, "frames": _walk_frames}
     for table, walk in walks.items():
         file = Path(path) / f"{table}.bin"
@@ -184,13 +189,13 @@ def _check_sizes(path: str | PathLike[str]) -> None:
     cameras = Path(path) / "cameras.bin"
     if cameras.is_file():
         content = cameras.read_bytes()
-        # Their records are as long as their models say; no model has fewer than three parameters.
+        # The length of a record depends on the camera model, which has at least three parameters.
         if 8 + 48 * int.from_bytes(content[:8], "little") > len(content):
             raise InputError(f"{cameras} is truncated or damaged; export the model again")
 
 
 def _camera_bytes(model: Any) -> int:
-    """Size of cameras.bin: id, camera model, width, height, and as many parameters as the camera model has."""
+    """Size of cameras.bin: id, camera model, width, height, and the parameters of the camera model."""
     return 8 + sum(24 + 8 * len(camera.params) for camera in model.cameras.values())
 
 

@@ -1,4 +1,4 @@
-"""What a file is, told from its content: a scene, a line cloud, a recovery, a truth or a checkpoint."""
+"""Kinds of files, recognised by content: scenes, line clouds, recoveries, truths and checkpoints."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pathlib import Path
 from l2p.errors import InputError
 from l2p.io.npz import npz_keys
 
-#: Bytes that are enough for the header of a PLY file and the first records of a text file.
+#: Bytes read from the start of a file: enough for the header of a PLY file and the first records of a text file.
 _HEAD_BYTES = 65536
 
-#: Bytes of the longest header that safetensors reads.
+#: Longest header that safetensors reads, in bytes.
 _MOST_TENSOR_HEADER = 100_000_000
 
 
 class Kind(Enum):
-    """Every kind of file that l2p reads; the value is what people call it."""
+    """Kinds of files that l2p reads; the value is the name in messages."""
 
     SCENE_MODEL = "a COLMAP model"
     SCENE_PLY = "a point cloud (PLY)"
@@ -36,7 +36,7 @@ class Kind(Enum):
 SCENES = (Kind.SCENE_MODEL, Kind.SCENE_PLY, Kind.SCENE_NPZ)
 LINE_CLOUDS = (Kind.LINES_NPZ, Kind.LINES_PLY, Kind.LINES_OBJ, Kind.LINES_TEXT)
 
-# The keys that make an npz what it is; the first row that fits counts.
+# Kinds of npz files by the arrays that they need; the first match counts.
 _NPZ_KINDS = (
     (Kind.LINES_NPZ, {"direction", "moment"}),
     (Kind.RECOVERY, {"xyz", "confidence", "beta"}),
@@ -46,17 +46,17 @@ _NPZ_KINDS = (
 
 
 def kind_of(path: str | PathLike[str]) -> Kind:
-    """The kind of a file or folder, from its content and not from its name.
+    """Find the kind of a file or folder from its content, not from its name.
 
     Raises
     ------
     FileNotFoundError
         If there is nothing at ``path``.
     InputError
-        If it is empty or nothing that l2p reads.
+        If it is empty, or of no kind that l2p reads.
     """
     if not os.fspath(path):
-        raise InputError("got an empty path; expected that of a file or folder")
+        raise InputError("got an empty path; expected the path of a file or folder")
     if not os.path.lexists(path):
         raise FileNotFoundError(f"{path} does not exist")
     if os.path.isdir(path):
@@ -76,7 +76,7 @@ def kind_of(path: str | PathLike[str]) -> Kind:
 
 
 def _is_safetensors(head: bytes) -> bool:
-    """Whether it begins with the length of a JSON object, and that object; no text gives so small a number."""
+    """Whether the file begins with the length of a JSON object and the object; a text gives a larger length."""
     return head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= _MOST_TENSOR_HEADER
 
 
@@ -91,9 +91,9 @@ def _npz_kind(path: str | PathLike[str]) -> Kind:
     for kind, needed in _NPZ_KINDS:
         if needed <= keys:
             return kind
-    found = ", ".join(sorted(keys)[:8]) or "nothing"
+    names = ", ".join(sorted(keys)[:8]) or "nothing"
     raise InputError(
-        f"{path} holds {found}; expected direction and moment (a line cloud) or xyz (a scene, a recovery, a truth)"
+        f"{path} holds {names}; expected direction and moment (a line cloud) or xyz (a scene, a recovery, a truth)"
     )
 
 

@@ -1,4 +1,4 @@
-"""Named arrays in one file: the same bytes for the same arrays, and nothing is ever unpickled."""
+"""npz files, named arrays in one file: the same bytes for the same arrays, and nothing is ever unpickled."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ import numpy as np
 
 from l2p.errors import InputError
 
-#: Bytes that a compressed byte can become at most: what zlib says of its own format.
+#: Largest ratio of inflated to compressed bytes, from the documentation of zlib.
 _MOST_INFLATED = 1032
 
 
 def npz_bytes(arrays: dict[str, Any]) -> bytes:
-    """The npz file of ``arrays``; entries that are None are left out.
+    """Encode ``arrays`` as an npz file; entries that are None are left out.
 
     Notes
     -----
-    numpy dates every member 1980-01-01, so the bytes depend on the arrays alone; nothing is compressed, because
-    double precision coordinates hardly shrink.
+    numpy dates every member 1980-01-01, so the bytes depend on the arrays alone. There is no compression, since
+    coordinates in double precision hardly shrink.
     """
     buffer = io.BytesIO()
     np.savez(buffer, **{name: value for name, value in arrays.items() if value is not None})
@@ -32,7 +32,7 @@ def npz_bytes(arrays: dict[str, Any]) -> bytes:
 
 
 def npz_keys(path: str | PathLike[str]) -> set[str]:
-    """Names of the arrays in an npz file."""
+    """Names of the arrays in an npz file; InputError if it is damaged."""
     with open(path, "rb") as file:
         try:
             with zipfile.ZipFile(file) as archive:
@@ -42,7 +42,7 @@ def npz_keys(path: str | PathLike[str]) -> set[str]:
 
 
 def read_npz(path: str | PathLike[str], names: Iterable[str]) -> dict[str, np.ndarray]:
-    """Those of the named arrays that the file holds.
+    """Read the named arrays; names that the file lacks are left out.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def read_npz(path: str | PathLike[str], names: Iterable[str]) -> dict[str, np.nd
         If the file is damaged or one of the arrays holds Python objects, which are never unpickled.
     """
     with open(path, "rb") as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+        warnings.simplefilter("ignore")  # about headers written by Python 2
         try:
             with zipfile.ZipFile(file) as archive:
                 members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
@@ -62,8 +62,8 @@ def read_npz(path: str | PathLike[str], names: Iterable[str]) -> dict[str, np.nd
 
 
 def _read_array(path: str | PathLike[str], archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
-    """One array; nothing is allocated that its header claims and the bytes of the file cannot hold."""
-    most = {zipfile.ZIP_STORED: info.compress_size, zipfile.ZIP_DEFLATED: _MOST_INFLATED * info.compress_size}
+    """Read one array; a header that claims more than the file can hold is refused before memory is allocated."""
+    largest = {zipfile.ZIP_STORED: info.compress_size, zipfile.ZIP_DEFLATED: _MOST_INFLATED * info.compress_size}
     with archive.open(info) as member:
         version = np.lib.format.read_magic(member)
         read_header = {
@@ -73,8 +73,8 @@ def _read_array(path: str | PathLike[str], archive: zipfile.ZipFile, info: zipfi
         shape, _, dtype = read_header(member)
         if dtype.hasobject:
             raise InputError(f"{path} holds Python objects, which l2p never loads; expected plain arrays")
-        whole = member.tell() + math.prod(shape) * dtype.itemsize == info.file_size
-    if not whole or info.file_size > most[info.compress_type]:
+        complete = member.tell() + math.prod(shape) * dtype.itemsize == info.file_size
+    if not complete or info.file_size > largest[info.compress_type]:
         raise _damaged(path)
     with archive.open(info) as member:
         return np.lib.format.read_array(member, allow_pickle=False)
@@ -94,7 +94,13 @@ class Fields:
     def take(
         self, name: str, kinds: str, shape: tuple[int | None, ...], dtype: type[np.generic] | None = None
     ) -> np.ndarray:
-        """The array ``name``, whose dtype kind is one of ``kinds``, as ``dtype``; None in ``shape`` is any length."""
+        """Return the array ``name`` as ``dtype``; None in ``shape`` is any length.
+
+        Raises
+        ------
+        InputError
+            If the array is missing, its dtype kind is not one of ``kinds``, or its shape or range does not fit.
+        """
         if name not in self._arrays:
             raise InputError(f"{self.path} has no {name}; expected an array of shape {_shown(shape)}")
         array = self._arrays[name]
@@ -109,31 +115,31 @@ class Fields:
         with np.errstate(over="ignore", invalid="ignore"):  # a number that is too large becomes infinite
             cast = array.astype(dtype)
         if cast.dtype.kind == "i" and not np.array_equal(cast, array):
-            raise InputError(f"{self.path} has {name} beyond those of {cast.dtype}; expected smaller numbers")
+            raise InputError(f"{self.path} has {name} outside the range of {cast.dtype}; expected smaller numbers")
         return cast
 
     def take_optional(
         self, name: str, kinds: str, shape: tuple[int | None, ...], dtype: type[np.generic] | None = None
     ) -> np.ndarray | None:
-        """The array ``name`` if the file has it."""
+        """Return the array ``name``, or None if the file lacks it."""
         return self.take(name, kinds, shape, dtype) if name in self._arrays else None
 
     def take_text(self, name: str) -> str:
-        """The string ``name``."""
+        """Return the string ``name``."""
         array = self.take(name, "U", ())
         try:
-            # Beyond the last character NumPy makes strings that Python cannot hold.
+            # NumPy strings may hold code points that Python strings cannot.
             codes = array.astype(array.dtype.newbyteorder("<")).tobytes()
             return codes.decode("utf-32-le").rstrip("\0")
         except ValueError as error:
             raise InputError(f"{self.path} has a {name} that is no text; write the file again") from error
 
     def take_optional_text(self, name: str) -> str | None:
-        """The string ``name`` if the file has it."""
+        """Return the string ``name``, or None if the file lacks it."""
         return self.take_text(name) if name in self._arrays else None
 
     def take_rgb(self, rows: int) -> np.ndarray | None:
-        """The colours, uint8, if the file has them."""
+        """Return the colours, (rows, 3) uint8, or None if the file has none."""
         rgb = self.take_optional("rgb", "iu", (rows, 3))
         if rgb is not None and rgb.dtype != np.uint8:
             raise InputError(f"{self.path} has rgb of type {rgb.dtype}; expected uint8, 0 to 255")
@@ -149,7 +155,7 @@ class Fields:
         return element
 
     def take_version(self, newest: int) -> int:
-        """The version of the format, at most ``newest``."""
+        """Return the version of the format; InputError above ``newest``."""
         version = int(self.take("version", "iu", ()))
         if not 1 <= version <= newest:
             raise InputError(f"{self.path} has version {version}; this l2p reads up to {newest}, so upgrade l2p")

@@ -1,4 +1,4 @@
-"""Loading Open3D, which needs libraries of the system."""
+"""Import of Open3D, which needs libraries of the system."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from typing import Any
 
 from l2p.errors import InputError
 
-#: What Open3D needs from the system.
+#: Debian packages that Open3D needs.
 DEBIAN_PACKAGES = "libusb-1.0-0 libgl1 libegl1 libx11-6"
 
 
 def load_open3d(flag: str = "--clean") -> Any:
-    """The module open3d, or a sentence on how to get it to load; ``flag`` is what asks for it."""
+    """Import open3d; InputError with how to install it if that fails. ``flag`` is the option that needs it."""
     try:
         import open3d
     except (ImportError, OSError) as error:

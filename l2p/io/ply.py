@@ -1,4 +1,4 @@
-"""PLY files through plyfile: every number of every element, little-endian binary out."""
+"""PLY files, by plyfile: reads ascii and binary ones, writes little-endian binary."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _RGB = ("red", "green", "blue")
 
 
 def ply_elements(path: str | PathLike[str]) -> dict[str, np.ndarray]:
-    """The structured array of each element of a PLY file, ascii or binary of either byte order."""
+    """Read the structured array of each element of a PLY file; InputError if it is damaged."""
     from plyfile import PlyData
 
     content = Path(path).read_bytes()
     _check_counts(path, content)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of empty lists, by numpy
-            # From memory: plyfile leaves the handle of an ascii file open, and would map a binary one.
+            warnings.simplefilter("ignore")  # of numpy, about empty lists
+            # From memory: plyfile does not close ascii files, and maps binary ones.
             return {element.name: element.data for element in PlyData.read(io.BytesIO(content)).elements}
     except Exception as error:  # plyfile and numpy raise many types on damaged bytes
         reason = " ".join(str(error).split())[:120]
@@ -32,23 +32,23 @@ def ply_elements(path: str | PathLike[str]) -> dict[str, np.ndarray]:
 
 
 def _check_counts(path: str | PathLike[str], content: bytes) -> None:
-    """Refuse a header that claims more than there are bytes for: plyfile allocates, and counts to, what it claims."""
+    """Refuse a header that claims more numbers than the file has bytes: plyfile would allocate them."""
     newline = b"\r\n" if content[3:5] == b"\r\n" else content[3:4]
     header, end, body = content.partition(newline + b"end_header" + newline)
     if not newline or not end:
-        return  # plyfile says what is wrong with it
+        return  # plyfile reports the error
     needed = rows = properties = 0
     for line in [*header.decode("latin-1").split(newline.decode("latin-1")), "element end 0"]:
         words = line.split()
         if words[:1] == ["property"]:
             properties += 1
         elif words[:1] == ["element"]:
-            # Every property, or the end of the row, takes a byte at least; the file may end without that of the last.
+            # A row takes at least a byte per property, or a line end; the last line end may be missing.
             needed += rows * max(properties, 1)
             rows, properties = _count(words[-1]), 0
     if needed > len(body) + 1:
         raise InputError(
-            f"{path} is truncated or damaged: it says that it has {needed} numbers or more, in {len(body)} bytes; "
+            f"{path} is truncated or damaged: its header claims at least {needed} numbers in {len(body)} bytes; "
             "expected a complete PLY file"
         )
 
@@ -61,7 +61,7 @@ def _count(word: str) -> int:
 
 
 def ply_columns(path: str | PathLike[str], element: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
-    """The named properties of an element as columns, (rows, len(names)), in the machine's byte order."""
+    """Stack the named properties of an element as columns, (rows, len(names)), in native byte order."""
     missing = [name for name in names if name not in (element.dtype.names or ())]
     if missing:
         raise InputError(f"{path} lacks the property {missing[0]}; expected {', '.join(names)}")
@@ -72,14 +72,14 @@ def ply_columns(path: str | PathLike[str], element: np.ndarray, names: tuple[str
 
 
 def ply_rgb(element: np.ndarray) -> UInt8[np.ndarray, "rows 3"] | None:
-    """The colours of an element, if it has 8-bit ones."""
+    """The 8-bit colours of an element, or None."""
     if any(name not in (element.dtype.names or ()) or element[name].dtype != np.uint8 for name in _RGB):
         return None
     return np.stack([element[name] for name in _RGB], axis=1)
 
 
 def ply_bytes(elements: dict[str, np.ndarray]) -> bytes:
-    """The binary little-endian PLY file of the elements."""
+    """Encode the elements as a little-endian binary PLY file."""
     from plyfile import PlyData, PlyElement
 
     buffer = io.BytesIO()
@@ -88,7 +88,7 @@ def ply_bytes(elements: dict[str, np.ndarray]) -> bytes:
 
 
 def point_records(xyz: np.ndarray, rgb: np.ndarray | None, confidence: np.ndarray | None = None) -> np.ndarray:
-    """The vertex element of a point cloud with what is known of its points."""
+    """The vertex element of a point cloud: float64 x, y, z; uint8 colours and float32 confidence if given."""
     columns = {name: ("<f8", xyz[:, axis]) for axis, name in enumerate("xyz")}
     if rgb is not None:
         columns |= {name: ("u1", rgb[:, channel]) for channel, name in enumerate(_RGB)}

@@ -1,4 +1,4 @@
-"""The state of a run: what is known after its last finished round, in a file beside the output until that is there."""
+"""The state of a run after its last finished round: a file beside the output, removed once that is written."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from l2p.io.atomic import atomic_file
 from l2p.io.npz import Fields, npz_bytes, npz_keys, read_npz
 from l2p.work.journal import Journal, Saved
 
-#: Version of the file; it lives as long as a run, so no other is read.
+#: Version of the format; a state lives as long as its run, so no other version is read.
 STATE_VERSION = 1
 _PART = "part_"
 
 
 def state_path(output: str | PathLike[str]) -> Path:
-    """Where the state of a run is that writes ``output``."""
+    """Path of the state of the run that writes ``output``."""
     return Path(f"{os.fspath(output).rstrip(os.sep)}.state")
 
 
@@ -31,14 +31,16 @@ class StateFile(Journal):
     Parameters
     ----------
     output : path
-        What the run writes in the end.
+        Output of the run; the state is beside it.
     resume : bool
-        Go on from the state if there is one; else there must be none, or ``overwrite``.
+        Continue from the state, if there is one.
+    overwrite : bool
+        Replace a state that exists.
 
     Raises
     ------
     InputError
-        If there is a state that must not be replaced.
+        If there is a state, and neither ``resume`` nor ``overwrite``.
     """
 
     def __init__(self, output: str | PathLike[str], *, resume: bool, overwrite: bool) -> None:
@@ -48,13 +50,19 @@ class StateFile(Journal):
         self._resume = resume
         if self.path.exists() and not (resume or overwrite):
             raise InputError(
-                f"{self.path} has the finished rounds of a run that was ended; add --resume to go on from them, or "
+                f"{self.path} has the finished rounds of an interrupted run; add --resume to go on from them, or "
                 "--force to begin again"
             )
 
     def begin(self, about: dict[str, Any]) -> None:
-        """Begin a run, or go on with it if it is the same: lines, method, settings, checkpoint, version of l2p."""
-        self._about = json.loads(json.dumps(about))  # as it comes back from the file
+        """Begin a run, or load the state of the last one.
+
+        Raises
+        ------
+        InputError
+            If the state is damaged, or that of other lines, methods, settings, checkpoints or versions of l2p.
+        """
+        self._about = json.loads(json.dumps(about))  # as JSON returns it
         if not (self._resume and self.path.exists()):
             return
         fields = Fields(self.path, ("about", "rounds", "version"))
@@ -64,25 +72,25 @@ class StateFile(Journal):
                 f"{self.path} is of a run with other {', '.join(other)}; give those of that run, or --force without "
                 "--resume to begin again"
             )
-        self._last = _saved(self.path, fields)
+        self._last = _read_state(self.path, fields)
 
     def last(self) -> Saved | None:
-        """What the run goes on from."""
+        """The state that the run continues from; None for a new run."""
         return self._last
 
     def save(self, saved: Saved) -> None:
-        """Replace the file."""
-        parts = {_PART + name: part for name, part in saved.state.items()}
+        """Replace the saved state by this one."""
+        arrays = {_PART + name: array for name, array in saved.state.items()}
         about = np.array(json.dumps(self._about, sort_keys=True))
         with atomic_file(self.path, overwrite=True) as file:
             file.write(
                 npz_bytes(
-                    {**parts, "rounds": np.array(saved.rounds), "about": about, "version": np.array(STATE_VERSION)}
+                    {**arrays, "rounds": np.array(saved.rounds), "about": about, "version": np.array(STATE_VERSION)}
                 )
             )
 
     def remove(self) -> None:
-        """Once the output is written."""
+        """Delete the file, once the output is written."""
         self.path.unlink(missing_ok=True)
 
 
@@ -96,7 +104,7 @@ def _about(path: Path, fields: Fields) -> dict[str, Any]:
 
 
 def _differences(saved: dict[str, Any], about: dict[str, Any]) -> list[str]:
-    """What the runs differ in; of settings, which."""
+    """Names of the entries in which two runs differ; if only settings differ, names of these."""
     other = [name for name in {**saved, **about} if name != "settings" and saved.get(name) != about.get(name)]
     if other:
         return other
@@ -104,10 +112,9 @@ def _differences(saved: dict[str, Any], about: dict[str, Any]) -> list[str]:
     return [name for name in {**one, **two} if one.get(name) != two.get(name)]
 
 
-def _saved(path: Path, fields: Fields) -> Saved:
+def _read_state(path: Path, fields: Fields) -> Saved:
     rounds = int(fields.take("rounds", "iu", ()))
     arrays = read_npz(path, [name for name in npz_keys(path) if name.startswith(_PART)])
-    parts = {name.removeprefix(_PART): part for name, part in arrays.items()}
-    if rounds < 1 or not all(part.dtype.kind == "f" and np.isfinite(part).all() for part in parts.values()):
+    if rounds < 1 or not all(array.dtype.kind == "f" and np.isfinite(array).all() for array in arrays.values()):
         raise InputError(f"{path} is damaged; remove it to begin the run again")
-    return Saved(rounds, parts)
+    return Saved(rounds, {name.removeprefix(_PART): array for name, array in arrays.items()})

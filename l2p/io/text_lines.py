@@ -13,9 +13,15 @@ from l2p.errors import InputError
 def read_obj_segments(
     path: str | PathLike[str],
 ) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "lines 2"]]:
-    """Vertices (``v x y z``, colours ignored) and the ends of the lines (``l i j``), counted from 0.
+    """Read vertices (``v x y z``, colours ignored) and the vertex rows (from 0) of each line (``l i j``).
 
     Negative indices count back from the last vertex, as in the format; all records but ``v`` and ``l`` are ignored.
+    Rows may be beyond the last vertex: the caller checks that.
+
+    Raises
+    ------
+    InputError
+        For the first record that is malformed.
     """
     vertices: list[list[float]] = []
     ends: list[tuple[int, int]] = []
@@ -33,7 +39,10 @@ def read_obj_segments(
 
 
 def read_text_rows(path: str | PathLike[str]) -> Float[np.ndarray, "lines 6"]:
-    """Rows of x y z dx dy dz, separated by blanks, commas or semicolons; ``#`` comments and one header row."""
+    """Read rows of x y z dx dy dz; InputError for the first row that is malformed.
+
+    Separators are blanks, commas or semicolons; ``#`` comments and one header row are skipped.
+    """
     rows: list[list[float]] = []
     header_allowed = True
     for number, words in _records(path):
@@ -50,7 +59,7 @@ def read_text_rows(path: str | PathLike[str]) -> Float[np.ndarray, "lines 6"]:
 
 
 def _records(path: str | PathLike[str]) -> list[tuple[int, list[str]]]:
-    """Number and words of each line that says something."""
+    """Number (from 1) and words of each line that is not empty."""
     with open(path, "rb") as file:
         try:
             text = file.read().decode("utf-8-sig")
@@ -65,7 +74,7 @@ def _vertex(word: str, count: int) -> int:
     index = int(word.split("/", 1)[0])
     if index == 0 or not -count <= index < 2**63:
         raise ValueError(f"no vertex {index}")
-    # A vertex may follow the line that names it; what is beyond the last one is refused when all are known.
+    # A vertex may come after the line that names it, so indices above ``count`` are checked later.
     return index - 1 if index > 0 else count + index
 
 

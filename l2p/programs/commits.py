@@ -1,4 +1,4 @@
-"""What made a result: commit and sources."""
+"""Provenance of a result: the commit and a digest of the sources."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PACKAGE = Path(l2p.__file__).parent
 
 @cache
 def commit() -> str | None:
-    """The commit of the working tree, with ``+`` after it where the programs differ from it; None without git."""
+    """Commit of the working tree, followed by ``+`` if the programs differ from it; None without git."""
     head = _git("rev-parse", "HEAD")
     if not head:
         return None

@@ -19,22 +19,22 @@ from l2p.maps.scene import Scene
 from l2p.simulator import KINDS as SIMULATED
 from l2p.simulator import MAX_POINTS, MIN_POINTS, simulate
 
-#: What the paper's table of neighbours calls each kind of scene: it knows no objects, which are mapped from near.
+#: Kind in the paper's table of neighbours, by kind of scene; objects, mapped from near, count as indoor.
 PAPER_KIND = {"indoor": "indoor", "outdoor": "outdoor", "object": "indoor"}
-#: The first word of a kind in SOURCES.md, or the kind of a simulated scene, in the three words of the tables.
+#: Kind of scene, by the first word of a kind in SOURCES.md or by the kind of a simulated scene.
 KINDS = {
     **{kind: kind for kind in PAPER_KIND},
     **dict.fromkeys(("aerial", "street", "facade", "terrain"), "outdoor"),
     **dict.fromkeys(("room", "hall"), "indoor"),
 }
-#: Of a scene that nobody described; it is the default of ``l2p recover``, too.
+#: Kind of a scene that is not in SOURCES.md; also the default of ``l2p recover``.
 UNDESCRIBED = "indoor"
 SOURCES = "SOURCES.md"
 
 
 @dataclass(frozen=True)
 class SceneSource:
-    """Where a scene comes from: a path or ``sim:KIND:POINTS:SEED``."""
+    """Name, source (a path or ``sim:KIND:POINTS:SEED``) and kind of a scene."""
 
     name: str
     source: str
@@ -51,35 +51,35 @@ class Loaded:
 
 
 def scenes_of(entries: tuple[str, ...], kinds: dict[str, str]) -> tuple[SceneSource, ...]:
-    """Every scene that the entries name, with ``kinds`` before what a SOURCES.md says.
+    """List the scenes of the entries; ``kinds``, by name of the scene, take precedence over SOURCES.md.
 
     Raises
     ------
     FileNotFoundError, InputError
-        If nothing is there, it is no scene, a kind is unknown, or two scenes have one name.
+        If an entry does not exist or has no scene, a kind is unknown, or two scenes have one name.
     """
-    found: list[SceneSource] = []
+    scenes: list[SceneSource] = []
     for entry in entries:
-        found += [_simulated(entry)] if entry.startswith("sim:") else _from_files(Path(entry))
-    names = [scene.name for scene in found]
+        scenes += [_simulated(entry)] if entry.startswith("sim:") else _from_files(Path(entry))
+    names = [scene.name for scene in scenes]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"got {names.count(name)} scenes named {name}; rename one of the files")
     unknown = sorted(set(kinds) - set(names))
     if unknown:
         raise InputError(f"got a kind for {unknown[0]}, which is no scene of this run; expected one of {names}")
-    return tuple(SceneSource(s.name, s.source, _kind(kinds.get(s.name, s.kind), s.name)) for s in found)
+    return tuple(SceneSource(s.name, s.source, _kind(kinds.get(s.name, s.kind), s.name)) for s in scenes)
 
 
 @lru_cache(maxsize=16)
 def load(source: str) -> Loaded:
-    """Read or simulate the points, to keep them."""
+    """Read or simulate the points of a scene; the last results are cached."""
     xyz = scene_at(source).xyz
     return Loaded(xyz, spacing(xyz), hashlib.sha256(np.ascontiguousarray(xyz).tobytes()).hexdigest()[:16])
 
 
 def scene_at(source: str) -> Scene:
-    """Read or simulate a scene, with all that is known of its points."""
+    """Read or simulate a scene with all attributes of its points."""
     if not source.startswith("sim:"):
         return load_scene(source)
     _, kind, points, seed = source.split(":")
@@ -111,15 +111,15 @@ def _is_scene(path: Path) -> bool:
     try:
         return kind_of(path) in SCENES
     except InputError:
-        # One that is cut short may be a scene: whoever reads it says what is wrong with it.
+        # Accept truncated npz files: the reader reports the error.
         return path.suffix == ".npz" and path.is_file() and not is_zipfile(path)
 
 
 def _described_kinds(path: Path) -> dict[str, str]:
     """Kinds from the Markdown table with columns ``scene`` and ``kind`` of a SOURCES.md in the folder or above it."""
     folder = path if path.is_dir() else path.parent
-    found = next((p / SOURCES for p in (folder, folder.resolve().parent) if (p / SOURCES).is_file()), None)
-    rows = found.read_text(encoding="utf-8").splitlines() if found else []
+    table = next((p / SOURCES for p in (folder, folder.resolve().parent) if (p / SOURCES).is_file()), None)
+    rows = table.read_text(encoding="utf-8").splitlines() if table else []
     cells = [[cell.strip() for cell in row.strip().strip("|").split("|")] for row in rows if row.startswith("|")]
     head = next((row for row in cells if "scene" in row and "kind" in row), None)
     if head is None:

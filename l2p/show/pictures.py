@@ -1,4 +1,4 @@
-"""The picture that explains the attack: the map, its line cloud, and what comes back, seen by one camera."""
+"""The picture that explains the attack: the map, its line cloud and the recovered points, from one camera."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ TEXT = "#e8ebf0"
 FAINT = "#98a2b3"
 FRAME = "#4a5568"
 LINE_DARK, LINE_LIGHT = np.array([[0.18, 0.32, 0.62], [0.85, 0.93, 1.0]])
-#: Small errors are bright, large ones sink into the background.
+#: Matplotlib's colour map of errors: small ones are bright, large ones close to the background.
 ERROR_MAP = "plasma_r"
 #: Errors of this many spacings and more have one colour.
 ERROR_LIMIT = 2.0
 
-#: Azimuth and elevation of the camera: above the corner of largest x and least y, so that the other two walls are seen.
+#: Azimuth and elevation of the camera, radians: above the corner of largest x and least y, to show the other two walls.
 VIEW = (np.radians(-52), np.radians(36))
 #: Distance of the camera over the diagonal of the box: far enough for a mild perspective.
 DISTANCE = 1.5
@@ -44,7 +44,7 @@ class Box:
 
     @classmethod
     def of_room(cls, scene: Scene) -> Box:
-        """The room that was filmed, without what is seen through its windows, for scenes with z up.
+        """The filmed room without the view through its windows; needs z up.
 
         Notes
         -----
@@ -64,15 +64,15 @@ class Box:
         return cls(low, high)
 
     def contains(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
-        """Which points are in the box."""
+        """Whether each point is in the box."""
         return _inside(points, self.low, self.high)
 
     def segments(self, lines: LineCloud) -> Float[np.ndarray, "segments 2 3"]:
-        """The parts of the lines that are in the box; lines that miss it have none."""
+        """Segments of the lines inside the box; lines that miss it are left out."""
         with np.errstate(divide="ignore", invalid="ignore"):
             to_low = (self.low - lines.origin) / lines.direction
             to_high = (self.high - lines.origin) / lines.direction
-        # A line that runs in a face gives 0 / 0 there, which bounds nothing.
+        # A line within a face gives 0 / 0 there, which fmin and fmax ignore.
         enter = np.fmin(to_low, to_high).max(axis=1)
         leave = np.fmax(to_low, to_high).min(axis=1)
         hit = enter < leave
@@ -89,7 +89,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole: ``axes`` has the rows right, up, forward."""
+    """A pinhole camera; the rows of ``axes`` are right, up and forward."""
 
     eye: Float[np.ndarray, "3"]
     axes: Float[np.ndarray, "3 3"]
@@ -107,14 +107,14 @@ class Camera:
     def project(
         self, points: Float[np.ndarray, "*many 3"]
     ) -> tuple[Float[np.ndarray, "*many 2"], Float[np.ndarray, "*many"]]:
-        """Places in the image plane at distance 1, and depths."""
+        """Project points to the image plane at distance 1; return positions and depths (scene units)."""
         seen = (points - self.eye) @ self.axes.T
         return seen[..., :2] / seen[..., 2:], seen[..., 2]
 
 
 @dataclass(frozen=True)
 class Captions:
-    """The words of the picture: its title, and a heading and a sentence for each panel."""
+    """Texts of the picture: title, heading and sentence of each panel, label of the errors."""
 
     title: str
     map: tuple[str, str]
@@ -130,16 +130,18 @@ def draw_attack(
     error: Float[np.ndarray, " lines"],
     captions: Captions,
 ) -> bytes:
-    """The three panels as a PNG file: the map in its colours, the line cloud, the recovered points by error.
+    """Draw three panels as a PNG file: the map in its colours, the line cloud, the recovered points by error.
 
     Parameters
     ----------
-    recovered, error
-        A point on each line, scene units, and how far it is off, in spacings.
+    recovered : (lines, 3)
+        Scene units.
+    error : (lines,)
+        Spacings.
 
     Notes
     -----
-    Only what lies in the room is drawn, in all three alike; the figures in the captions count all points.
+    All panels show the room only; figures in the captions are of all points.
     """
     box = Box.of_room(scene)
     camera = Camera.above(box)
@@ -157,7 +159,7 @@ def draw_attack(
 
 
 def _panels(captions: Captions, edges: Float[np.ndarray, "edges 2 2"]) -> tuple[Figure, list[Axes]]:
-    """A figure with three titled panels that show the frame of the room."""
+    """A figure with three titled panels that show the edges of the room."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
@@ -186,16 +188,16 @@ def _panels(captions: Captions, edges: Float[np.ndarray, "edges 2 2"]) -> tuple[
 def draw_points(
     panel: Axes, camera: Camera, points: Float[np.ndarray, "points 3"], color: np.ndarray, size: float = POINT_SIZE
 ) -> None:
-    """Dots from far to near, the nearer the larger; ``size`` is the diameter at the median depth, in points."""
-    place, depth = camera.project(points)
+    """Draw dots from far to near, the nearer the larger; ``size`` is the diameter at the median depth, in points."""
+    position, depth = camera.project(points)
     order = np.argsort(-depth)
     middle = float(np.median(depth)) if len(depth) else 1.0
     area = (size * middle / depth[order]) ** 2
-    panel.scatter(*place[order].T, s=area, c=color[order], linewidths=0, zorder=1)
+    panel.scatter(*position[order].T, s=area, c=color[order], linewidths=0, zorder=1)
 
 
 def _draw_lines(panel: Axes, segments: Float[np.ndarray, "segments 2 2"]) -> None:
-    """Thin lines, as transparent as they are many; shades of their own keep them apart where they are dense."""
+    """Draw thin lines, more transparent the more there are; seven shades tell dense ones apart."""
     from matplotlib.collections import LineCollection
 
     shade = np.linspace(0, 1, 7)[np.arange(len(segments)) % 7, None]
@@ -205,12 +207,12 @@ def _draw_lines(panel: Axes, segments: Float[np.ndarray, "segments 2 2"]) -> Non
 
 
 def _draw_scale(figure: Figure, label: str) -> None:
-    """The colour bar of the errors, under the third panel."""
+    """Draw the colour bar of the errors under the third panel."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    place = figure.add_axes((0.735, 0.085, 0.19, 0.018))
-    bar = figure.colorbar(ScalarMappable(Normalize(0, ERROR_LIMIT), ERROR_MAP), cax=place, orientation="horizontal")
+    axes = figure.add_axes((0.735, 0.085, 0.19, 0.018))
+    bar = figure.colorbar(ScalarMappable(Normalize(0, ERROR_LIMIT), ERROR_MAP), cax=axes, orientation="horizontal")
     bar.set_ticks([0, ERROR_LIMIT / 2, ERROR_LIMIT], labels=["0", f"{ERROR_LIMIT / 2:g}", f"{ERROR_LIMIT:g} or more"])
     bar.ax.tick_params(colors=FAINT, labelsize=11.5, length=0)
     bar.set_label(label, color=FAINT, fontsize=12)
@@ -225,7 +227,7 @@ def _error_colors(error: Float[np.ndarray, " points"]) -> Float[np.ndarray, "poi
 
 
 def _brightened(rgb: UInt8[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
-    """Colours lifted for a dark background."""
+    """Brighten colours for a dark background."""
     return (rgb / 255) ** 0.65
 
 

@@ -1,4 +1,4 @@
-"""Where a view stands, and which way is up in it."""
+"""The viewpoint of a map: centre, radius and axes, with up guessed."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from l2p.show.exhibit import _HELD, _MARGIN, Exhibit
 
 @dataclass(frozen=True, eq=False)
 class Stance:
-    """Where a view stands: ``(x - center) / radius @ axes.T`` is in the unit ball, but for far points, and z is up.
+    """View coordinates ``(x - center) / radius @ axes.T``: in the unit ball except for far points, with z up.
 
-    The sign of up cannot be known; maps are stored with y down, as cameras see them, or with z up.
+    The sign of up is a guess: maps are stored with y down, as cameras see them, or with z up.
     """
 
     center: Float[np.ndarray, "3"]
@@ -24,7 +24,7 @@ class Stance:
 
     @classmethod
     def before(cls, exhibit: Exhibit) -> Stance:
-        """Made for the points of the map if they are known, else for those recovered, else for the lines."""
+        """Choose the view of the points of the map; without them of the recovered ones, then of the lines."""
         points = exhibit.points if exhibit.points is not None else exhibit.recovered
         if points is None:
             from l2p.geometry.frame import Frame
@@ -38,15 +38,15 @@ class Stance:
         return cls(center, radius if radius > 0 else 1.0, _axes(points[distance <= radius], exhibit.camera_centers))
 
     def enter(self, points: Float[np.ndarray, "*many 3"]) -> Float[np.ndarray, "*many 3"]:
-        """Scene points in the view's own coordinates."""
+        """Transform scene points to view coordinates."""
         return (points - self.center) / self.radius @ self.axes.T
 
     def leave(self, places: Float[np.ndarray, "*many 3"]) -> Float[np.ndarray, "*many 3"]:
-        """Places in the view's own coordinates as scene points."""
+        """Transform view coordinates to scene points."""
         return places @ self.axes * self.radius + self.center
 
     def chords(self, lines: LineCloud, reach: float = 1.25) -> Float[np.ndarray, "chords 2 3"]:
-        """The parts of the lines in the ball of radius ``reach`` in the view; lines that miss it have none."""
+        """Chords of the lines in the ball of radius ``reach``, view coordinates; lines that miss it are left out."""
         origin, direction = self.enter(lines.origin), lines.direction @ self.axes.T
         along = -np.sum(origin * direction, axis=1, keepdims=True)
         nearest = origin + along * direction
@@ -57,10 +57,13 @@ class Stance:
 
 
 def _axes(points: Float[np.ndarray, "points 3"], cameras: Float[np.ndarray, "cameras 3"] | None) -> np.ndarray:
-    """Rows right, forward, up. Cameras are carried about level, so up is where their places vary least; without
-    cameras, the points. An axis of the scene is taken if it is near."""
-    places = points if cameras is None or len(cameras) < 3 else cameras
-    up = np.linalg.eigh(np.cov(places.T))[1][:, 0] if len(places) > 2 else np.eye(3)[2]
+    """Rows right, forward, up.
+
+    Cameras are carried about level, so up is the direction in which their positions vary least; without cameras, that
+    of the points. If an axis of the scene is near, it is taken instead.
+    """
+    positions = points if cameras is None or len(cameras) < 3 else cameras
+    up = np.linalg.eigh(np.cov(positions.T))[1][:, 0] if len(positions) > 2 else np.eye(3)[2]
     largest = int(np.abs(up).argmax())
     if abs(up[largest]) > 0.9:
         up = np.eye(3)[largest]

@@ -19,7 +19,7 @@ from l2p.show.exhibit import Exhibit
 from l2p.show.stance import Stance
 
 _SIZE = (1280, 800)
-#: Seconds that a display on another machine has to answer.
+#: Timeout of the connection to a display, seconds.
 _PATIENCE = 3.0
 _POINT = np.array([60, 90, 140], dtype=np.uint8)
 
@@ -30,7 +30,7 @@ def has_display() -> bool:
 
 
 def check_window() -> None:
-    """Refuse, before any work, where no window can be shown.
+    """Check, before any work, that a window can be shown.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def check_window() -> None:
     if not has_display():
         raise InputError("there is no display for --window (DISPLAY is not set); leave it out to get a page instead")
     if not _answers():
-        # Open3D would draw where nobody sees it, and wait for a window to be closed that there is not.
+        # Open3D would block forever.
         raise InputError(f"the display {_display()} does not answer; leave out --window to get a page instead")
     load_open3d("--window")
 
@@ -50,7 +50,7 @@ def _display() -> str:
 
 
 def _answers() -> bool:
-    """Whether somebody listens where the environment says that the display is."""
+    """Whether a server listens at the display that the environment names."""
     if sys.platform in ("win32", "darwin"):
         return True
     if os.environ.get("WAYLAND_DISPLAY"):
@@ -66,22 +66,22 @@ def _answers() -> bool:
 
 
 def _listens(family: socket.AddressFamily, address: Any) -> bool:
-    with socket.socket(family) as door:
-        door.settimeout(_PATIENCE)
+    with socket.socket(family) as connection:
+        connection.settimeout(_PATIENCE)
         try:
-            door.connect(address)
+            connection.connect(address)
         except OSError:
             return False
     return True
 
 
 def show(exhibit: Exhibit, title: str) -> None:
-    """Show an exhibit until the window is closed; recovered points by confidence, dark blue is unsure, yellow sure.
+    """Show an exhibit until the window is closed; recovered points are dark blue (low confidence) to yellow (high).
 
     Raises
     ------
     InputError
-        As :func:`check_window`, or if the display refuses the window.
+        As for :func:`check_window`, or if the display refuses the window.
     """
     check_window()
     open3d = load_open3d("--window")
@@ -96,18 +96,18 @@ def show(exhibit: Exhibit, title: str) -> None:
 
 
 def _stand(camera: Any, geometry: Any, stance: Stance) -> None:
-    """Look at the middle of the map, from above: Open3D would step back until the farthest point is seen."""
+    """Look at the middle of the map from above; Open3D's default view would fit the farthest point."""
     right, forward, up = stance.axes
     camera.set_lookat(stance.center)
     camera.set_up(up)
     camera.set_front(0.7 * right - forward + 0.6 * up)
-    # Open3D counts in lengths of the box around all that is shown.
+    # The zoom is relative to the longest side of the bounding box.
     length = float(np.max(geometry.get_max_bound() - geometry.get_min_bound()))
     camera.set_zoom(stance.radius / length if length > 0 else 1.0)
 
 
 def _geometry(open3d: Any, exhibit: Exhibit) -> Any:
-    """The points or, where there are only lines, these."""
+    """A point cloud or, if there are only lines, their segments."""
     points = exhibit.recovered if exhibit.recovered is not None else exhibit.points
     if points is None:
         assert exhibit.lines is not None

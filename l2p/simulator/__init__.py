@@ -1,7 +1,7 @@
 """A procedural Structure-from-Motion simulator: scenes without data.
 
-A layout builds textured surfaces and a camera path; keypoints are seen, matched, triangulated and filtered as an SfM
-program would. ``docs/simulator.md`` compares the result with real models.
+A layout builds textured surfaces and a camera path; keypoints are detected, matched, triangulated and filtered as in an
+SfM program. ``docs/simulator.md`` compares the result with real models.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ __all__ = ["KINDS", "MAX_POINTS", "MIN_POINTS", "SimulatedModel", "simulate", "s
 
 #: Kinds of scene.
 KINDS = tuple(LAYOUTS)
-#: Fewest points that still make a scene.
+#: Fewest points of a scene.
 MIN_POINTS = 100
 #: Most points; time and memory are linear in them.
 MAX_POINTS = 10_000_000
-#: Candidates drawn at once, which bounds memory (about 150 MB).
+#: Candidate keypoints per batch; bounds memory (about 150 MB).
 BATCH = 10_000
-#: Batches without enough points before the search is given up; layouts keep far from it.
+#: The simulation gives up after this many batches, plus ten times those in ``points``; layouts stay far below.
 PATIENCE = 60
 
 
@@ -39,12 +39,12 @@ def simulate(kind: str = "room", points: int = 20_000, seed: int = 0) -> Scene:
     points : int
         Exact number of points, at least 100 and at most 10 million.
     seed : int
-        Layout, cameras, texture and noise follow from it; more ``points`` sample the same world more densely.
+        Determines layout, cameras, texture and noise; more ``points`` sample the same world more densely.
 
     Returns
     -------
     Scene
-        In metres, z up; ids are 1 to ``points``, in random order of place.
+        In metres, z up; ids are 1 to ``points``, in no spatial order.
 
     Raises
     ------
@@ -64,14 +64,14 @@ def simulate(kind: str = "room", points: int = 20_000, seed: int = 0) -> Scene:
 
 
 def simulate_model(kind: str = "room", points: int = 20_000, seed: int = 0) -> SimulatedModel:
-    """Simulate a whole SfM model, with cameras and observations; arguments as of ``simulate``."""
+    """Simulate an SfM model with cameras and observations; arguments and errors are those of ``simulate``."""
     _check(kind, points, seed)
-    # Independent streams: the world of a seed does not depend on how many points are asked for.
+    # Independent streams: the world of a seed does not depend on the number of points.
     world, views = (np.random.default_rng([seed, KINDS.index(kind), stream]) for stream in range(2))
     stage, cameras, capture = LAYOUTS[kind](world)
     observer = Observer(stage, texture_stage(stage, world), cameras, capture)
     tracks: list[Tracks] = []
-    while sum(len(part.xyz) for part in tracks) < points:
+    while sum(len(batch.xyz) for batch in tracks) < points:
         if len(tracks) > PATIENCE + 10 * points // BATCH:
             raise RuntimeError(f"the {kind} of seed {seed} shows too few points to its cameras")
         sightings = observer.sight(min(BATCH, 4 * points), views)
@@ -80,17 +80,17 @@ def simulate_model(kind: str = "room", points: int = 20_000, seed: int = 0) -> S
 
 
 def _assemble(tracks: list[Tracks], points: int, cameras) -> SimulatedModel:
-    """The first ``points`` points of all batches as one model."""
-    start = np.concatenate([[0], np.cumsum([len(part.xyz) for part in tracks])])
-    parts: list[Sightings] = [part.sightings for part in tracks]
-    owner = np.concatenate([part.point + first for part, first in zip(parts, start[:-1], strict=True)])
-    views = np.searchsorted(owner, points)
-    length = np.concatenate([part.length for part in tracks])[:points]
-    rgb = np.concatenate([part.rgb for part in parts])[:points]
+    """Join the batches to one model of the first ``points`` points."""
+    start = np.concatenate([[0], np.cumsum([len(batch.xyz) for batch in tracks])])
+    sightings: list[Sightings] = [batch.sightings for batch in tracks]
+    point = np.concatenate([batch.point + first for batch, first in zip(sightings, start[:-1], strict=True)])
+    views = np.searchsorted(point, points)
+    length = np.concatenate([batch.length for batch in tracks])[:points]
+    rgb = np.concatenate([batch.rgb for batch in sightings])[:points]
     scene = Scene(
-        xyz=np.concatenate([part.xyz for part in tracks])[:points],
+        xyz=np.concatenate([batch.xyz for batch in tracks])[:points],
         rgb=np.clip(np.rint(rgb), 0, 255).astype(np.uint8),
-        error=np.concatenate([part.error for part in tracks])[:points].astype(np.float32),
+        error=np.concatenate([batch.error for batch in tracks])[:points].astype(np.float32),
         track_length=length.astype(np.int32),
         ids=np.arange(1, points + 1),
         camera_centers=cameras.center,
@@ -98,16 +98,16 @@ def _assemble(tracks: list[Tracks], points: int, cameras) -> SimulatedModel:
     return SimulatedModel(
         scene,
         cameras,
-        true_xyz=np.concatenate([part.xyz for part in parts])[:points],
-        wrong=np.concatenate([part.wrong for part in parts])[:points],
-        view_point=owner[:views],
-        view_camera=np.concatenate([part.camera for part in parts])[:views],
-        view_pixel=np.concatenate([part.pixel for part in tracks])[:views],
+        true_xyz=np.concatenate([batch.xyz for batch in sightings])[:points],
+        wrong=np.concatenate([batch.wrong for batch in sightings])[:points],
+        view_point=point[:views],
+        view_camera=np.concatenate([batch.camera for batch in sightings])[:views],
+        view_pixel=np.concatenate([batch.pixel for batch in tracks])[:views],
     )
 
 
 def _check(kind: object, points: object, seed: object) -> None:
-    """Refuse arguments that make no scene."""
+    """Raise InputError for arguments out of range."""
     if kind not in KINDS:
         raise InputError(f"got kind {kind!r}; expected one of {', '.join(KINDS)}")
     whole = isinstance(points, (int, np.integer)) and not isinstance(points, bool)

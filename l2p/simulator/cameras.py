@@ -34,11 +34,11 @@ class Cameras:
     def local(
         self, point: Float[np.ndarray, "views 3"], camera: Int[np.ndarray, " views"]
     ) -> Float[np.ndarray, "views 3"]:
-        """Each point in the frame of its camera; the third coordinate is the depth."""
+        """Points in the frames of their cameras, in metres; the third coordinate is the depth."""
         return np.einsum("nij,nj->ni", self.rotation[camera], point - self.center[camera])
 
     def pixels(self, local: Float[np.ndarray, "views 3"]) -> Float[np.ndarray, "views 2"]:
-        """Pixel coordinates of points in camera frames, COLMAP's convention."""
+        """Project points in camera frames to pixel coordinates, in COLMAP's convention."""
         half = np.array([self.width / 2, self.height / 2])
         return self.focal * local[:, :2] / local[:, 2:] + half
 
@@ -57,7 +57,7 @@ def look(
     """Cameras at ``center`` that look at ``target``, held by a slightly unsteady hand (about 3 degrees)."""
     forward = target - center + 0.05 * rng.standard_normal(center.shape) * _length(target - center)
     forward = forward / _length(forward)
-    # A little of a fixed horizontal axis keeps "up" defined for cameras that look straight down.
+    # A small horizontal component keeps "up" defined for cameras that look straight down.
     up = np.array([0.0, 0.02, 1.0]) + 0.05 * rng.standard_normal(center.shape)
     right = np.cross(forward, up)
     right = right / _length(right)
@@ -66,7 +66,7 @@ def look(
 
 
 def walk(waypoints: Float[np.ndarray, "way 3"], steps: int, sway: float, rng: np.random.Generator) -> np.ndarray:
-    """``steps`` positions along the polyline of ``waypoints``, smoothed, swaying by ``sway`` metres."""
+    """Positions (steps, 3) along the polyline of ``waypoints``, with normal noise of ``sway`` metres."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1))])
     at = np.linspace(0.0, length[-1], steps)
     path = np.stack([np.interp(at, length, waypoints[:, axis]) for axis in range(3)], axis=1)
@@ -81,7 +81,7 @@ def orbit(
     steps: int,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """``steps`` positions on an arc (from, to in radians) around ``middle``, ``height`` metres above it."""
+    """Positions (steps, 3) on an arc (from, to in radians) around ``middle``, ``height`` metres above it."""
     angle = np.linspace(arc[0], arc[1], steps)
     reach = radius * (1 + 0.06 * rng.standard_normal(steps))
     circle = np.stack([np.cos(angle) * reach, np.sin(angle) * reach, np.full(steps, height)], axis=1)
@@ -91,10 +91,10 @@ def orbit(
 def drone_grid(
     size: tuple[float, float], height: Number, shape: tuple[int, int], rng: np.random.Generator
 ) -> np.ndarray:
-    """Positions of a survey flight over a field of ``size`` metres, ``shape`` = photos along and across."""
+    """Positions (photos, 3) of a survey flight over ``size`` metres; ``shape`` is photos along and across."""
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, shape[0]) * size[0], np.linspace(-0.5, 0.5, shape[1]) * size[1])
-    place = np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=1)
-    return place + 0.02 * height * rng.standard_normal(place.shape)
+    center = np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=1)
+    return center + 0.02 * height * rng.standard_normal(center.shape)
 
 
 def _length(vector: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Things that stand in simulated scenes, and the textures they wear; sizes in metres."""
+"""Furniture, plants, cars and houses of simulated scenes, and their textures; sizes in metres."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STATUE = Texture(0.6, 40, size=0.10, border=0.05, dust=0.3, relief=0.004)
 
 
 def paint(rng: np.random.Generator, low: Number = 40, high: Number = 190) -> Triple:
-    """A random, rather grey colour."""
+    """A random colour with little saturation."""
     r, g, b = rng.uniform(low, high) + 12 * rng.standard_normal(3)
     return float(r), float(g), float(b)
 
@@ -66,7 +66,7 @@ def shelf(stage: Stage, pose: Pose, width: Number, rows: int, rng: np.random.Gen
 
 
 def monitor(stage: Stage, pose: Pose) -> None:
-    """A screen on a foot, with a keyboard and a mouse before it."""
+    """A screen on a foot, with a keyboard and a mouse in front of it."""
     stage.box(pose, (0, 0, 0), (0.2, 0.18, 0.015), METAL, (50, 50, 55))
     stage.box(pose, (0, 0.03, 0.0), (0.05, 0.03, 0.2), METAL, (50, 50, 55))
     stage.box(pose, (0, 0, 0.14), (0.55, 0.03, 0.33), SCREEN, (45, 50, 60))
@@ -137,7 +137,7 @@ def car(stage: Stage, pose: Pose, rng: np.random.Generator) -> None:
 
 
 def house(stage: Stage, pose: Pose, size: Triple, rng: np.random.Generator) -> None:
-    """A building of (width, depth, height) with rows of windows, ledges and things on its roof."""
+    """A building of (width, depth, height) with rows of windows, a ledge, and boxes on its roof."""
     width, depth, height = size
     wall = Texture(
         0.09,

@@ -1,4 +1,4 @@
-"""The worlds and how they are photographed: one function for each kind of scene."""
+"""Layouts: one function per kind of scene builds the stage, the cameras and the quality of the matches."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from l2p.simulator.surfaces import Pose, Stage, Texture
 
 
 class World(NamedTuple):
-    """What is photographed, from where, and how well the photographs match."""
+    """A stage, the cameras that photograph it, and the quality of their matches."""
 
     stage: Stage
     cameras: Cameras
@@ -73,7 +73,7 @@ def room(rng: np.random.Generator) -> World:
 
 
 def _walls(stage: Stage, width: float, depth: float, height: float, rng: np.random.Generator) -> None:
-    """Floor, ceiling, four walls of which one has a window, posters, and what is seen outside."""
+    """Floor, ceiling, walls with posters, a door and a window, and the view through the window."""
     w, d, h = width / 2, depth / 2, height / 2
     color = paint(rng, 150, 200)
     stage.rect((0, 0, 0), (w, 0, 0), (0, d, 0), CARPET, paint(rng, 80, 150))
@@ -107,7 +107,7 @@ def _sofa(stage: Stage, pose: Pose, rng: np.random.Generator) -> None:
 
 
 def _room_walk(width: float, depth: float, desk: Pose, rng: np.random.Generator) -> Cameras:
-    """Frames of a phone carried through the room, mostly turned to the desk and the table."""
+    """Cameras of a phone that is carried through the room and mostly looks at the desk and the table."""
     way = np.array([[-0.35, -0.1], [-0.2, -0.4], [0.1, -0.42], [0.3, -0.25], [0.2, 0.05]]) * (width, depth)
     way = np.column_stack([way, rng.uniform(1.3, 1.7, len(way))])
     steps = int(rng.integers(60, 100))
@@ -120,7 +120,7 @@ def _room_walk(width: float, depth: float, desk: Pose, rng: np.random.Generator)
 
 
 def tabletop(rng: np.random.Generator) -> World:
-    """A few things on a table in a room, photographed from around it."""
+    """A few objects on a table in a room, photographed from all around."""
     stage = Stage()
     width, depth = rng.uniform(3.4, 6.0), rng.uniform(3.2, 5.0)
     _walls(stage, width, depth, 2.7, rng)
@@ -146,7 +146,7 @@ def tabletop(rng: np.random.Generator) -> World:
 
 
 def facade(rng: np.random.Generator) -> World:
-    """An ornate front of a building with wings, photographed on foot from the square before it."""
+    """An ornate front of a building with wings, photographed on foot from the square in front of it."""
     stage = Stage()
     width, height = rng.uniform(18, 35), rng.uniform(8, 14)
     stage.rect((0, -20, 0), (60, 0, 0), (0, 30, 0), ASPHALT, (120, 115, 105))
@@ -254,12 +254,12 @@ def terrain(rng: np.random.Generator) -> World:
 
 
 def _spot(size: float, rng: np.random.Generator, turn: float) -> Pose:
-    """A random place on a square field of ``size`` metres, turned by up to ``turn`` radians."""
+    """A random pose on a square field of ``size`` metres, turned by up to ``turn`` radians."""
     return Pose(rng.uniform(-0.5, 0.5) * size, rng.uniform(-0.5, 0.5) * size, 0, rng.uniform(0, turn))
 
 
 def _capture(rng: np.random.Generator, noise: float = 0.9, angle: float = 0.3, wrong: float = 0.015) -> Capture:
-    """A capture about as good as given: no two are alike."""
+    """A capture with qualities drawn at random around the given ones."""
     return Capture(
         pixel_noise=noise * rng.uniform(0.6, 1.5),
         match_angle=angle * rng.uniform(0.6, 1.4),

@@ -1,4 +1,4 @@
-"""The simulated reconstruction: a scene with its observations, which can be written as a COLMAP model."""
+"""The simulated reconstruction: a scene with its observations; can be written as a COLMAP model."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class SimulatedModel:
     Attributes
     ----------
     scene : Scene
-        What SfM would report; in metres, z up.
+        Reconstructed points; in metres, z up.
     cameras : Cameras
     true_xyz : (points, 3) float64
-        Where the keypoints really are.
+        True positions of the keypoints, in metres.
     wrong : (points,) bool
-        Points made from wrong matches: no surface is there.
+        Whether the point comes from wrong matches, so that no surface is there.
     view_point, view_camera : (views,) int64
         Point row and camera row of each observation, sorted by point.
     view_pixel : (views, 2) float64
@@ -75,9 +75,9 @@ class SimulatedModel:
             )
         )
         by_camera = np.argsort(self.view_camera, kind="stable")
-        place = np.split(by_camera, np.searchsorted(self.view_camera[by_camera], np.arange(1, len(cameras))))
+        views_of = np.split(by_camera, np.searchsorted(self.view_camera[by_camera], np.arange(1, len(cameras))))
         index = np.empty(len(by_camera), dtype=np.int64)
-        for row, views in enumerate(place):
+        for row, views in enumerate(views_of):
             index[views] = np.arange(len(views))
             pose = pycolmap.Rigid3d(
                 pycolmap.Rotation3d(cameras.rotation[row]), -cameras.rotation[row] @ cameras.center[row]
@@ -88,7 +88,7 @@ class SimulatedModel:
         return model
 
     def _add_points(self, model, index: Int[np.ndarray, " views"]) -> None:
-        """Add every point with its track; ``index`` is each observation's place among its image's keypoints."""
+        """Add every point with its track; ``index`` is each observation's row among the keypoints of its image."""
         import pycolmap
 
         rgb, error = self.scene.rgb, self.scene.error

@@ -1,4 +1,4 @@
-"""What hides what: segments from cameras to points, tested against every solid."""
+"""Occlusion: segments from cameras to points, tested against every solid."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from jaxtyping import Bool, Float, Int
 
 from l2p.simulator.surfaces import CUBE, CYLINDER, SPHERE, SQUARE, Shapes
 
-#: Coordinates x, y, z of many vectors, each (segments, solids).
+#: Coordinates x, y, z of vectors, each (segments, solids).
 Axes = Sequence[np.ndarray]
-#: Segments tested at once: the work arrays of one block stay within the processor's cache.
+#: Segments per block; its work arrays fit the cache.
 BLOCK = 2048
-#: A segment is hidden only by what it meets clearly before its end.
+#: Position along a segment (0 to 1) from which on a cut does not count: there the segment meets the point's surface.
 END = 1.0 - 1e-4
 
 
@@ -24,27 +24,27 @@ def hidden(
     own: Int[np.ndarray, " segments"],
     solids: Shapes,
 ) -> Bool[np.ndarray, " segments"]:
-    """Which segments from a camera to a point are cut by a solid other than the point's ``own``.
+    """Whether a solid other than the point's ``own`` (-1 for none) cuts each segment from a camera to a point.
 
     Notes
     -----
     O(segments x solids), in blocks of bounded memory. A point on its own convex body is hidden by that body only if
-    the surface turns away from the camera, which the caller tests by the normal.
+    the surface turns away from the camera; the caller tests that by the normal.
     """
     result = np.zeros(len(point), dtype=bool)
-    for kind, blocks in ((SQUARE, _square), (CUBE, _cube), (SPHERE, _sphere), (CYLINDER, _cylinder)):
+    for kind, cuts in ((SQUARE, _square), (CUBE, _cube), (SPHERE, _sphere), (CYLINDER, _cylinder)):
         rows = np.flatnonzero(solids.shape == kind)
         if rows.size == 0:
             continue
         to_unit = np.linalg.inv(solids.axes[rows])
         start = _unit(camera_center, solids.center[rows], to_unit)
         for first in range(0, len(point), BLOCK):
-            part = np.arange(first, min(first + BLOCK, len(point)))
-            part = part[~result[part]]
-            end = _unit(point[part], solids.center[rows], to_unit)
-            begin = [axis[camera[part]] for axis in start]  # each (segments, solids)
-            cut = blocks(begin, [e - b for e, b in zip(end, begin, strict=True)])
-            result[part] = (cut & (own[part, None] != rows)).any(axis=1)
+            block = np.arange(first, min(first + BLOCK, len(point)))
+            block = block[~result[block]]
+            end = _unit(point[block], solids.center[rows], to_unit)
+            begin = [axis[camera[block]] for axis in start]  # each (segments, solids)
+            cut = cuts(begin, [e - b for e, b in zip(end, begin, strict=True)])
+            result[block] = (cut & (own[block, None] != rows)).any(axis=1)
     return result
 
 
@@ -56,7 +56,7 @@ def _unit(point: np.ndarray, center: np.ndarray, to_unit: np.ndarray) -> list[np
 
 
 def _square(begin: Axes, step: Axes) -> np.ndarray:
-    """Cuts with the unit square."""
+    """Whether segments cut the unit square."""
     with np.errstate(divide="ignore", invalid="ignore"):
         t = -begin[2] / step[2]
         x, y = begin[0] + t * step[0], begin[1] + t * step[1]
@@ -64,7 +64,7 @@ def _square(begin: Axes, step: Axes) -> np.ndarray:
 
 
 def _cube(begin: Axes, step: Axes) -> np.ndarray:
-    """Cuts with the unit cube: the segment's share of each slab, and what these have in common."""
+    """Whether segments cut the unit cube, the intersection of three slabs."""
     enter, leave = _slab(begin[0], step[0])
     for axis in (1, 2):
         low, high = _slab(begin[axis], step[axis])
@@ -73,12 +73,12 @@ def _cube(begin: Axes, step: Axes) -> np.ndarray:
 
 
 def _sphere(begin: Axes, step: Axes) -> np.ndarray:
-    """Cuts with the unit sphere."""
+    """Whether segments cut the unit sphere."""
     return _quadratic(_dot(step, step), _dot(begin, step), _dot(begin, begin) - 1)[0]
 
 
 def _cylinder(begin: Axes, step: Axes) -> np.ndarray:
-    """Cuts with the unit cylinder: both the wall's infinite tube and the slab between the caps."""
+    """Whether segments cut the unit cylinder, the intersection of an infinite tube and a slab."""
     flat, along = begin[:2], step[:2]
     meets, enter, leave = _quadratic(_dot(along, along), _dot(flat, along), _dot(flat, flat) - 1)
     low, high = _slab(begin[2], step[2])
@@ -87,14 +87,14 @@ def _cylinder(begin: Axes, step: Axes) -> np.ndarray:
 
 
 def _slab(begin: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """From and to which t begin + t step lies within [-1, 1]; the tiny term keeps parallel segments finite."""
+    """First and last t with begin + t step in [-1, 1]; the tiny term keeps parallel segments finite."""
     inverse = 1 / (step + np.float32(1e-12))
     half, middle = np.abs(inverse), -begin * inverse
     return middle - half, middle + half
 
 
 def _dot(a: Axes, b: Axes) -> np.ndarray:
-    """Scalar product of vectors that are given by their coordinates."""
+    """Dot products of vectors given by their coordinates."""
     total = a[0] * b[0]
     for x, y in zip(a[1:], b[1:], strict=True):
         total += x * y
@@ -102,7 +102,7 @@ def _dot(a: Axes, b: Axes) -> np.ndarray:
 
 
 def _quadratic(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where a t^2 + 2 b t + c <= 0: whether on the segment, from and to which t."""
+    """Solve a t^2 + 2 b t + c <= 0: whether the solution meets the segment, its first and its last t."""
     a = np.maximum(a, np.float32(1e-12))
     disc = b * b - a * c
     root = np.sqrt(np.maximum(disc, 0))

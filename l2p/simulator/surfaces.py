@@ -10,30 +10,30 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-#: Metres, radians, shares: whole numbers are numbers, too.
+#: Metres, radians or shares; an int is as good as a float.
 Number = float | int
-#: Red, green and blue in 0..255, and places.
+#: Red, green, blue (0 to 255), or x, y, z (metres).
 Triple = tuple[Number, Number, Number]
 
 #: Unit shapes: the square |x|, |y| <= 1 at z = 0, the sphere, the side of the cylinder |z| <= 1, the cube, and a ball
-#: of leaves (a volume that carries points and hides nothing).
+#: of leaves (a volume that carries keypoints and hides nothing).
 SQUARE, SPHERE, CYLINDER, CUBE, LEAVES = range(5)
 
 
 @dataclass(frozen=True)
 class Texture:
-    """How a surface looks to a keypoint detector.
+    """Texture of a surface, as a keypoint detector responds to it.
 
     Attributes
     ----------
     strength : float
         Keypoints per square pixel, relative to a printed page (1).
     clusters : int
-        Number of patterned patches; the rest of the surface carries little but dust.
+        Number of patterned patches.
     size : float
         Radius of a patch, as a share of the smaller side.
     border, dust : float
-        Share of the keypoints on the outline of the surface, and spread evenly over it.
+        Share of the keypoints on the outline of the surface, and share of those spread evenly over it.
     grid : (int, int)
         Rows and columns of a regular pattern (windows, tiles, books); 0 for none.
     relief : float
@@ -51,7 +51,7 @@ class Texture:
 
 @dataclass(frozen=True)
 class Pose:
-    """A place on the ground and a heading about the vertical (radians), where a piece of furniture stands."""
+    """Position (metres) and heading about the vertical (radians) of an object."""
 
     x: Number = 0.0
     y: Number = 0.0
@@ -59,13 +59,13 @@ class Pose:
     yaw: Number = 0.0
 
     def apply(self, offset: Triple) -> np.ndarray:
-        """The world position of a local one."""
+        """Transform a local position into the world, (3,)."""
         return np.array([self.x, self.y, self.z]) + self.rotation @ np.asarray(offset, dtype=np.float64)
 
     def moved(self, x: Number, y: Number, z: Number = 0.0, yaw: Number = 0.0) -> Pose:
-        """The pose of a part that stands at (x, y, z) in this frame, turned by ``yaw``."""
-        place = self.apply((x, y, z))
-        return Pose(float(place[0]), float(place[1]), float(place[2]), self.yaw + yaw)
+        """The pose at (x, y, z) in this frame, turned by ``yaw``."""
+        position = self.apply((x, y, z))
+        return Pose(float(position[0]), float(position[1]), float(position[2]), self.yaw + yaw)
 
     @property
     def rotation(self) -> np.ndarray:
@@ -78,8 +78,8 @@ class Pose:
 class Shapes:
     """Affine images of unit shapes, one row each: ``world = center + axes @ unit``.
 
-    ``axes`` has orthogonal columns; the third column of a square is its unit normal. ``solid`` is the row, among the
-    solids, of the body that a surface belongs to (-1 for none).
+    ``axes`` has orthogonal columns; the third column of a square is its unit normal. ``solid`` is the row of the solid
+    that a surface belongs to (-1 for none).
     """
 
     shape: Int[np.ndarray, " shapes"]
@@ -104,11 +104,11 @@ class Stage:
 
     @property
     def solids(self) -> Shapes:
-        """All bodies that hide what lies behind them."""
+        """All solids: they hide what lies behind them."""
         return _stack(self._solids)
 
     def rect(self, center, u, v, texture: Texture, color, hides: bool = True) -> None:
-        """A rectangle with half-sides ``u`` and ``v``; its textured side is that of u x v."""
+        """A rectangle with half-sides ``u`` and ``v``; the side that u x v points to is textured."""
         u, v = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
         normal = np.cross(u, v)
         axes = np.stack([u, v, normal / np.linalg.norm(normal)], axis=1)
@@ -138,17 +138,17 @@ class Stage:
 
     def ellipsoid(self, pose: Pose, center, radii, texture: Texture, color) -> None:
         """An ellipsoid with ``radii`` along the axes of ``pose``."""
-        place, axes = pose.apply(center), pose.rotation * np.asarray(radii, dtype=np.float64)
-        self._surface(SPHERE, place, axes, self._solid(SPHERE, place, axes), texture, color)
+        middle, axes = pose.apply(center), pose.rotation * np.asarray(radii, dtype=np.float64)
+        self._surface(SPHERE, middle, axes, self._solid(SPHERE, middle, axes), texture, color)
 
     def cylinder(self, pose: Pose, offset, radius: Number, height: Number, texture: Texture, color) -> None:
         """The side of an upright cylinder whose foot is centred at ``offset``."""
-        place = pose.apply((offset[0], offset[1], offset[2] + height / 2))
+        middle = pose.apply((offset[0], offset[1], offset[2] + height / 2))
         axes = np.diag([radius, radius, height / 2])
-        self._surface(CYLINDER, place, axes, self._solid(CYLINDER, place, axes), texture, color)
+        self._surface(CYLINDER, middle, axes, self._solid(CYLINDER, middle, axes), texture, color)
 
     def leaves(self, pose: Pose, center, radii, texture: Texture, color) -> None:
-        """A ball of leaves, with points inside it."""
+        """An ellipsoid of leaves, with keypoints inside it."""
         self._surface(LEAVES, pose.apply(center), pose.rotation * np.asarray(radii, float), -1, texture, color)
 
     def _surface(self, shape: int, center, axes, solid: int, texture: Texture, color) -> None:
@@ -164,7 +164,7 @@ class Stage:
 def on_shape(
     shape: Int[np.ndarray, " points"], unit: Float[np.ndarray, "points 3"]
 ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"], np.ndarray]:
-    """Move points of unit space onto their shapes: the points, their unit-space normals and which lie within."""
+    """Project points of unit space onto their shapes: positions, normals, and whether they are within the shape."""
     position, normal = unit.copy(), unit.copy()
     square, cylinder, sphere = shape == SQUARE, shape == CYLINDER, shape == SPHERE
     position[square, 2] = 0.0

@@ -1,8 +1,8 @@
-"""Where keypoints lie on surfaces: many small structures (blobs, edges, corners) of very unequal weight.
+"""Positions of keypoints on surfaces: many small structures (blobs, edges, corners) of very unequal weight.
 
-Detectors fire on print, ornaments and outlines and hardly ever on paint, and what they fire on is itself clustered:
-a poster on a wall, a word on the poster, a letter in the word. The structures are a two-level cascade with log-normal
-sizes and weights, which gives the heavy-tailed local density of real clouds.
+Detectors respond to print, ornaments and outlines and hardly to paint, and their responses are clustered: a poster on a
+wall, a word on the poster, a letter in the word. The structures are a two-level cascade with log-normal sizes and
+weights, which gives the heavy-tailed local density of real clouds.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from jaxtyping import Float, Int
 
 from l2p.simulator.surfaces import CYLINDER, LEAVES, SQUARE, Shapes, Stage, Texture, Triple, on_shape
 
-#: Small structures that make up one patterned patch.
+#: Structures per patterned patch.
 PER_CLUSTER = 14
-#: Most tiles of evenly spread texture along a side.
+#: Most tiles along a side of a square with evenly spread keypoints.
 MAX_TILES = 24
-#: Weight of a regular pattern, relative to the rest of its surface.
+#: Weight of a regular pattern over that of the rest of its surface.
 GRID_SHARE = 0.4
-#: Pieces of a line segment.
+#: Pieces per line segment, of unequal weight.
 PIECES = 6
 
 
@@ -30,7 +30,7 @@ class Structures:
 
     A keypoint of structure i lies at ``center + u * half + sigma * normal draw`` with u uniform in [-1, 1] for each of
     the two rows of ``half``. ``weight`` is the keypoint rate per unit of image resolution. Structures of one ``spot``
-    (sorted, from 0) lie close together and share what is computed per camera.
+    (sorted, from 0) lie close together; the image resolution is computed once per spot and camera.
     """
 
     surface: Int[np.ndarray, " structures"]
@@ -62,7 +62,7 @@ def draw_keypoints(
     relief: Float[np.ndarray, " surfaces"],
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, "points 3"], np.ndarray]:
-    """One keypoint of each picked structure: world positions, unit normals, and which lie within their surface."""
+    """Draw a keypoint of each picked structure: positions (metres), unit normals, whether it is on its surface."""
     surface = structures.surface[pick]
     along = rng.uniform(-1, 1, (len(pick), 2, 1))
     unit = structures.center[pick] + (along * structures.half[pick]).sum(axis=1)
@@ -117,7 +117,7 @@ def _patches(shape: int, scale: np.ndarray, texture: Texture, rng: np.random.Gen
 
 
 def _dust(shape: int, scale: np.ndarray) -> tuple[np.ndarray, ...]:
-    """An even cover of the surface; of large squares in tiles of about two metres, as cameras see them unequally."""
+    """Keypoints spread evenly; squares in tiles (about 2 m), since cameras resolve them unequally."""
     if shape != SQUARE:
         half, sigma = np.zeros((1, 2, 3)), np.full((1, 3), 0.6)
         if shape == CYLINDER:
@@ -132,7 +132,7 @@ def _dust(shape: int, scale: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def _segments(ends: np.ndarray, scale: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """Line segments (n, 2, 3) in pieces of unequal weight, and their corners as tight blobs."""
+    """Cut line segments (n, 2, 3) into pieces of unequal weight; their ends are tight blobs."""
     cut = np.sort(rng.uniform(-1, 1, (len(ends), PIECES, 2)), axis=2)
     middle, reach = ends.mean(axis=1)[:, None], (ends[:, 1] - ends[:, 0])[:, None] / 2
     center = middle + cut.mean(axis=2)[..., None] * reach  # (segments, pieces, 3)
@@ -165,22 +165,22 @@ def _grid(shape: tuple[int, int]) -> np.ndarray:
     """The outlines of a regular pattern of cells on the unit square, (4 * cells, 2, 3)."""
     x = (np.arange(shape[1]) + 0.5) / shape[1] * 2 - 1
     y = (np.arange(shape[0]) + 0.5) / shape[0] * 2 - 1
-    place = np.stack([*(a.ravel() for a in np.meshgrid(x, y)), np.zeros(x.size * y.size)], axis=1)
+    center = np.stack([*(a.ravel() for a in np.meshgrid(x, y)), np.zeros(x.size * y.size)], axis=1)
     cell = _outline(SQUARE) * np.array([0.6 / shape[1], 0.7 / shape[0], 0])
-    return (place[:, None, None] + cell[None]).reshape(-1, 2, 3)
+    return (center[:, None, None] + cell[None]).reshape(-1, 2, 3)
 
 
 def _anywhere(shape: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Random places on a unit shape."""
+    """Random positions on a unit shape, (count, 3)."""
     if shape == SQUARE:
         return rng.uniform(-1, 1, (count, 3)) * (1, 1, 0)
-    place = rng.standard_normal((count, 3))
+    position = rng.standard_normal((count, 3))
     if shape == CYLINDER:
-        place[:, :2] /= np.linalg.norm(place[:, :2], axis=1, keepdims=True)
-        place[:, 2] = rng.uniform(-1, 1, count)
-        return place
-    place /= np.linalg.norm(place, axis=1, keepdims=True)
-    return place * rng.random((count, 1)) ** (1 / 3) if shape == LEAVES else place
+        position[:, :2] /= np.linalg.norm(position[:, :2], axis=1, keepdims=True)
+        position[:, 2] = rng.uniform(-1, 1, count)
+        return position
+    position /= np.linalg.norm(position, axis=1, keepdims=True)
+    return position * rng.random((count, 1)) ** (1 / 3) if shape == LEAVES else position
 
 
 def _area(shape: int, scale: np.ndarray) -> float:

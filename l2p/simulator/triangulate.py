@@ -1,4 +1,4 @@
-"""From observations to a reconstructed point: noisy pixels, the least-squares point, and the filters of an SfM run."""
+"""Triangulation: noisy pixels, least-squares points, and the filters of an SfM program."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from l2p.simulator.observe import Sightings, select
 #: COLMAP's default filters (``filter_max_reproj_error``, ``filter_min_tri_angle``), pixels and degrees.
 MAX_REPROJECTION_ERROR = 4.0
 MIN_TRIANGULATION_ANGLE = 1.5
-#: Gauss-Newton steps: the start is the true point, so few are needed.
+#: Gauss-Newton steps; few are enough from the true point.
 STEPS = 3
 
 
@@ -37,15 +37,20 @@ class Tracks:
 
 
 def triangulate(sightings: Sightings, cameras: Cameras, noise: float, rng: np.random.Generator) -> Tracks:
-    """Measure every observation with ``noise`` pixels, find the least-squares points, drop what SfM would drop.
+    """Triangulate noisy observations by least squares, and filter the points as COLMAP does.
+
+    Parameters
+    ----------
+    noise : float
+        Median standard deviation of a pixel coordinate, in pixels.
 
     Notes
     -----
-    The error of a point is not drawn from a model: it is what the least-squares solution makes of the noisy pixels,
-    so it is long along the viewing rays, grows with depth over baseline and falls with the length of the track.
+    Errors of points are not drawn from a model: they follow from the noisy pixels, so they are long along the viewing
+    rays, grow with depth over baseline and fall with the length of the track.
     """
     exact = cameras.pixels(cameras.local(sightings.xyz[sightings.point], sightings.camera))
-    # Keypoints of coarse scale are localised worse: the spread is per point, and a few are bad.
+    # Keypoints of coarse scale are localised worse: noise differs between points, and a few are bad.
     sigma = noise * np.exp(0.5 * rng.standard_normal(len(sightings)))
     pixel = exact + sigma[sightings.point, None] * rng.standard_normal(exact.shape)
     xyz = sightings.xyz
@@ -63,19 +68,19 @@ def triangulate(sightings: Sightings, cameras: Cameras, noise: float, rng: np.ra
 
 
 def _step(xyz: np.ndarray, sightings: Sightings, cameras: Cameras, pixel: np.ndarray) -> np.ndarray:
-    """One damped Gauss-Newton step of every point."""
+    """A damped Gauss-Newton step for every point, in metres."""
     point, camera = sightings.point, sightings.camera
     local = cameras.local(xyz[point], camera)
     depth = np.maximum(local[:, 2:], 0.02)
     local = np.concatenate([local[:, :2], depth], axis=1)
-    gap = pixel - cameras.pixels(local)
+    residual = pixel - cameras.pixels(local)
     turn = cameras.rotation[camera]
     jacobian = cameras.focal / depth[:, :, None] * (turn[:, :2] - (local[:, :2] / depth)[:, :, None] * turn[:, 2:])
     normal = _sum_over_views(np.einsum("nij,nik->njk", jacobian, jacobian).reshape(-1, 9), point, len(xyz))
-    right = _sum_over_views(np.einsum("nij,ni->nj", jacobian, gap), point, len(xyz))
+    gradient = _sum_over_views(np.einsum("nij,ni->nj", jacobian, residual), point, len(xyz))
     normal = normal.reshape(-1, 3, 3)
     damping = 1e-6 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    return np.linalg.solve(normal + damping, right[:, :, None])[:, :, 0]
+    return np.linalg.solve(normal + damping, gradient[:, :, None])[:, :, 0]
 
 
 def _angle(xyz: np.ndarray, sightings: Sightings, cameras: Cameras) -> np.ndarray:

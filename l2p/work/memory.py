@@ -1,4 +1,4 @@
-"""How much memory an attack may take, and how large its blocks can be in it.
+"""The memory limit of an attack, and the size of blocks that fits it.
 
 An attack holds some bytes per line, which nothing can change, and works through blocks of lines, each with temporaries
 of its own. The allowance less the bytes of the lines is the *room* of these blocks (:class:`l2p.work.work.Work`). It
@@ -15,13 +15,13 @@ from pathlib import Path
 from l2p.errors import InputError
 
 GIB = 1 << 30
-#: Share of the free memory that an attack may take unless it is told how much; the rest is for the others.
+#: Share of the free memory that an attack may take by default; the rest is for other processes.
 SHARE = 0.8
-#: Bytes that an attack takes whatever its lines: libraries loaded on the way, the coarse grid, freed pieces.
+#: Bytes of an attack beside its lines: libraries that it loads, the coarse grid, fragmentation.
 BASE = 96 << 20
-#: Bytes that blocks need at least: tiles, which keep one size, are within it.
+#: Least room, bytes: tiles, which have a fixed size, fit in it.
 SMALLEST = 64 << 20
-#: Files of Linux: what is free, what this process holds, and its limits in a container (version 2, then 1).
+#: Linux files: free memory, memory of this process, its control groups; then their limits (version 2, 1).
 MEMINFO, STATM, CGROUPS = Path("/proc/meminfo"), Path("/proc/self/statm"), Path("/proc/self/cgroup")
 _LIMITS = {
     "": (Path("/sys/fs/cgroup"), "memory.max", "memory.current"),
@@ -35,20 +35,20 @@ def fitting(most: int, each: float, room: int | None) -> int:
 
 
 def allotted(memory: float | None, lines: int, line_bytes: float) -> int | None:
-    """Bytes of room that blocks have beside the lines; None where nothing is known that would bound it.
+    """Compute the room, in bytes, that the lines leave to blocks; None if the free memory is unknown.
 
     Parameters
     ----------
     memory : float, optional
-        GiB that the attack may take; ``SHARE`` of what is free when left out.
+        GiB that the attack may take; ``SHARE`` of the free memory by default.
     lines : int
     line_bytes : float
-        Bytes that the attack holds for each line.
+        Bytes that the attack holds per line.
 
     Raises
     ------
     InputError
-        If the lines do not fit, or ``memory`` is no positive number.
+        If the lines do not fit, or ``memory`` is not a positive number.
     """
     if memory is None:
         free = free_bytes()
@@ -71,7 +71,7 @@ def allotted(memory: float | None, lines: int, line_bytes: float) -> int | None:
 
 
 def free_bytes() -> int | None:
-    """Memory that this process may still take: of the machine, of its containers, of its own limit; None if unknown."""
+    """Bytes that this process may still take: least of machine, containers and own limit; None if unknown."""
     known = [free for free in (_free_in_machine(), _free_in_containers(), _free_address_space()) if free is not None]
     return max(0, min(known)) if known else None
 
@@ -87,7 +87,7 @@ def _free_in_machine() -> int | None:
 
 
 def _free_in_containers() -> int | None:
-    """The least that any control group around this process has left."""
+    """Least free bytes among the control groups around this process; None without a limit."""
     free = []
     for line in _text(CGROUPS).splitlines():
         _, kind, path = [*line.split(":", 2), "", ""][:3]
@@ -95,7 +95,7 @@ def _free_in_containers() -> int | None:
             continue
         root, limit, usage = _LIMITS[kind]
         own = root / path.lstrip("/")
-        # In a container the path may be that of the host, of which only the root is seen inside.
+        # In a container, the path may be that of the host, and only the root of it is visible inside.
         for group in {root, own, *(parent for parent in own.parents if parent.is_relative_to(root))}:
             most, taken = _text(group / limit).strip(), _text(group / usage).strip()
             if most.isdecimal() and taken.isdecimal():
@@ -104,7 +104,7 @@ def _free_in_containers() -> int | None:
 
 
 def _reclaimable(group: Path) -> int:
-    """Bytes of a control group's usage that are cached files, which are given up when memory is short."""
+    """Bytes of cached files in the usage of a control group; the kernel frees them when memory is short."""
     found = re.search(r"^(?:total_)?inactive_file (\d+)", _text(group / "memory.stat"), re.MULTILINE)
     return int(found.group(1)) if found else 0
 
@@ -112,7 +112,7 @@ def _reclaimable(group: Path) -> int:
 def _free_address_space() -> int | None:
     try:
         import resource
-    except ImportError:  # not of Unix
+    except ImportError:  # not on Unix
         return None
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     taken = _text(STATM).split()

@@ -1,7 +1,7 @@
-"""Several processes for one attack: brought together, as ``torchrun`` or :func:`launch` starts them, and ended as one.
+"""Several processes (ranks) for one attack, started by ``torchrun`` or :func:`launch`.
 
-Whatever ends one of them ends all, with one message: of the user's error from the process that met it, of a process
-that died from one of those that are left.
+If one rank fails, all stop, and exactly one prints why: the rank with the user's error or, if a rank died, one of the
+others.
 """
 
 from __future__ import annotations
@@ -21,42 +21,44 @@ from typing import Any, NamedTuple, NoReturn
 from l2p.errors import InputError, LostProcessError
 from l2p.work.shards import Processes, Shards
 
-#: How long a process waits for the others: far longer than they are apart in their work.
+#: Timeout of a rank that waits for the others; far longer than they are apart in their work.
 PATIENCE = timedelta(minutes=30)
-#: Exit code of a process that has lost another.
+#: Exit code of a rank that has lost another.
 LOST = 1
-#: Set for the processes that :func:`launch` starts, which itself tells of lost processes and of Ctrl-C.
+#: Environment variable of ranks started by :func:`launch`, which itself reports lost ranks and Ctrl-C.
 _LAUNCHED = "L2P_LAUNCHED"
-#: What the first process that tells why all end puts down at the store of the processes.
-_TOLD = "l2p/told"
-#: Seconds that processes have to end by themselves when one has failed, and then after being told to.
+#: Store key claimed by the rank that prints the error.
+_REPORTED = "l2p/told"
+#: Seconds that ranks have to end by themselves after one has failed, and then after a signal.
 _GRACE, _MORE_GRACE = 3.0, 10.0
 _POLL = 0.05
 
 
 class Place(NamedTuple):
-    """What a process works with: the others, and its device."""
+    """Shards and device of a rank."""
 
     shards: Shards
     device: str
 
 
 def among_others() -> bool:
-    """Whether this process was started as one of several."""
+    """Whether this process is one of several ranks."""
     count = os.environ.get("WORLD_SIZE", "")
     return count.isdecimal() and int(count) > 1
 
 
 @contextmanager
 def joined(device: str) -> Iterator[Place]:
-    """The processes that were started together, until the block ends; without others, this one alone.
+    """Join the ranks that were started together, until the block ends; a process alone gets ``ALONE``.
 
     Raises
     ------
     InputError
-        If several processes cannot use the device, or do not find each other.
-    SystemExit
-        In place of an error of the block, if another process has told why all end.
+        If several ranks cannot use the device, or do not find each other.
+
+    Notes
+    -----
+    After an error of the block that another rank prints, the process ends at once with code ``LOST``.
     """
     if not among_others():
         yield Place(Shards(), device)
@@ -76,13 +78,13 @@ def joined(device: str) -> Iterator[Place]:
         said = f"the processes did not find each other ({_first_line(error)}); start them with torchrun"
         raise _refusal(said) from error
     shards = Processes(distributed)
-    before = signal.signal(signal.SIGTERM, _told_to_end)
+    before = signal.signal(signal.SIGTERM, _on_sigterm)
     try:
         yield Place(shards, own)
     except BaseException as error:
-        # Until it has told why, it is not to be ended by the launcher, which has noticed, too.
+        # The launcher must not end this rank before it has printed the error.
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        if not _speaks(error, store, shards):
+        if not _is_reporter(error, store, shards):
             _leave(LOST)
         raise
     signal.signal(signal.SIGTERM, before)
@@ -90,7 +92,7 @@ def joined(device: str) -> Iterator[Place]:
 
 
 def _own_device(device: str) -> str:
-    """Each process of a machine takes a GPU of its own."""
+    """Device of this rank: on ``cuda``, the GPU of its local rank."""
     if device == "cuda":
         return f"cuda:{os.environ.get('LOCAL_RANK', 0)}"
     if device != "cpu":
@@ -99,31 +101,31 @@ def _own_device(device: str) -> str:
 
 
 def _refusal(said: str) -> InputError:
-    """What all processes meet before they know each other, told by the first."""
+    """An error that every rank has before the group exists; only rank 0 reports it, the others end here."""
     if os.environ.get("RANK", "0") != "0":
         _leave(LOST)
     return InputError(said)
 
 
-def _told_to_end(*_: int | FrameType | None) -> NoReturn:
+def _on_sigterm(*_: int | FrameType | None) -> NoReturn:
     raise LostProcessError(
         "the processes were told to end, or one of them has died; start again with --resume to go on from the last "
         "finished round"
     )
 
 
-def _speaks(error: BaseException, store: Any, shards: Shards) -> bool:
-    """Whether it falls to this process to tell why all end."""
+def _is_reporter(error: BaseException, store: Any, shards: Shards) -> bool:
+    """Whether this rank is the one that prints the error."""
     if isinstance(error, (LostProcessError, KeyboardInterrupt)) and os.environ.get(_LAUNCHED):
         return False
     try:
-        return store.add(_TOLD, 1) == 1
-    except RuntimeError:  # the process that kept the store is the one that died
+        return store.add(_REPORTED, 1) == 1
+    except RuntimeError:  # the rank that held the store has died
         return shards.rank <= 1 or not isinstance(error, LostProcessError)
 
 
 def _leave(code: int) -> NoReturn:
-    """End at once: what waits for the lost process in other threads cannot be waited for."""
+    """End at once, without joining threads, which may wait for a lost rank forever."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
@@ -134,12 +136,12 @@ def _first_line(error: BaseException) -> str:
 
 
 def launch(words: Sequence[str], processes: int) -> int:
-    """Run ``l2p`` with these words in several processes of this machine; gives the exit code.
+    """Run ``l2p`` with these arguments in several processes on this machine; return the exit code.
 
     Raises
     ------
     LostProcessError
-        If one of them was killed.
+        If one of them was ended by a signal.
     """
     environment = {
         "OMP_NUM_THREADS": str(max(1, len(os.sched_getaffinity(0)) // processes)),
@@ -168,7 +170,7 @@ def launch(words: Sequence[str], processes: int) -> int:
 
 
 def _outcome(codes: list[int | None]) -> int:
-    """The exit code of all; a signal tells most, then the user's error."""
+    """Exit code of all ranks: the largest one; LostProcessError if one was ended by a signal."""
     for rank, code in enumerate(codes):
         if code is not None and code < 0:
             raise LostProcessError(
@@ -189,7 +191,7 @@ def _wait(started: list[subprocess.Popen[bytes]], seconds: float) -> None:
 
 
 def _end(started: list[subprocess.Popen[bytes]]) -> None:
-    """Tell those that still run to end, and see to it that they do."""
+    """Terminate the processes that still run, and kill those that do not end."""
     for stop in (subprocess.Popen.terminate, subprocess.Popen.kill):
         for process in started:
             if process.poll() is None:

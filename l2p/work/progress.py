@@ -1,4 +1,4 @@
-"""Progress bars for people who wait: on stderr and only on a terminal; the core only ever sees ``advance``."""
+"""Progress bars, on stderr and only on a terminal; the attacks only call ``advance``."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ REFRESH_SECONDS = 0.1
 
 @runtime_checkable
 class Progress(Protocol):
-    """Something that shows how far named tasks are.
+    """Shows the progress of named tasks.
 
     >>> with NO_PROGRESS.task("nearest lines", total=100) as advance:
     ...     advance(100)
     """
 
     def task(self, name: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
-        """Open a task of ``total`` steps; what it gives is called with the number of steps just done."""
+        """Open a task of ``total`` steps; call the function that it yields with the number of steps just done."""
         ...
 
 
@@ -30,12 +30,12 @@ class SilentProgress:
 
     @contextmanager
     def task(self, name: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Open a task that nobody sees."""
+        """Open a task that is not shown."""
         yield _ignore
 
 
 class TerminalProgress:
-    """Bars with rate and remaining time on stderr; tasks may be nested, and vanish when they are done."""
+    """Bars with rate and remaining time on stderr; tasks may be nested, and disappear when done."""
 
     def __init__(self) -> None:
         self._bars: Any = None
@@ -60,7 +60,7 @@ class TerminalProgress:
 
 
 class _Bar:
-    """One line of the display; counts are collected and shown every ``REFRESH_SECONDS``."""
+    """A bar; counts are added up and shown every ``REFRESH_SECONDS``."""
 
     def __init__(self, bars: Any, name: str, total: int) -> None:
         self._bars = bars
@@ -81,7 +81,7 @@ NO_PROGRESS = SilentProgress()
 
 
 def terminal_progress() -> Progress:
-    """Bars if stderr is a terminal, else silence."""
+    """Bars if stderr is a terminal, otherwise ``NO_PROGRESS``."""
     return TerminalProgress() if sys.stderr.isatty() else NO_PROGRESS
 
 
@@ -90,7 +90,7 @@ def _ignore(count: int) -> None:
 
 
 def _rate(speed: float | None) -> str:
-    """Steps per second; per minute where that would say 0 or little more."""
+    """Steps per second as text; per minute below 10 per second."""
     if not speed:
         return ""
     return f"{speed:,.0f}/s" if speed >= 10 else f"{60 * speed:,.0f}/min"

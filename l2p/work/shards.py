@@ -1,11 +1,11 @@
-"""Lines shared out over processes, on one machine or several: who has which, and how they put together what they find.
+"""Lines distributed over processes (ranks), on one machine or several.
 
-Every process knows all lines and all estimates, and works on a run of the lines of its own. What each line needs of all
-others is summed up (the density of the tomography) or gathered (the estimates). Both give the same bits whatever the
-number of processes: sums are of integers, and runs are of whole blocks of ``BLOCK`` lines. A product of matrices may
-depend on their size in the last digit, so blocks have to be the same blocks.
+Every rank has all lines and all estimates, and works on a range of the lines. Results that each line needs from all
+others are summed (the density of the tomography) or gathered (the estimates). Both are equal to the bit for any number
+of ranks: sums are of integers, and ranges are whole blocks of ``BLOCK`` lines, since the last digit of a matrix product
+may depend on its size.
 
-The processes are those of ``torch.distributed``; :mod:`l2p.work.processes` brings them together.
+The processes are those of ``torch.distributed``; :mod:`l2p.work.processes` joins them.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from torch import Tensor
 
 from l2p.errors import InputError, LostProcessError
 
-#: Lines in a block: those that the network judges at a time (:class:`l2p.attacks.learned.learned.LearnedConfig`).
+#: Lines per block: the batch of the network (:class:`l2p.attacks.learned.learned.LearnedConfig`).
 BLOCK = 256
 
 
 class Shards:
-    """One process that has all lines; :class:`Processes` share them.
+    """A process with all lines; :class:`Processes` distributes them.
 
     Attributes
     ----------
     rank : int
-        Number of this process; the first, 0, reads and writes the files.
+        Rank of this process; rank 0 reads and writes the files.
     processes : int
-        How many there are.
+        Number of processes.
     sent : int
-        Bytes of the tensors that this process has sent on to others, each counted once.
+        Bytes of the tensors that this process has sent to others, each counted once.
     """
 
     rank = 0
@@ -42,25 +42,25 @@ class Shards:
     sent = 0
 
     def own(self, count: int) -> slice:
-        """The rows of this process, of ``count`` lines."""
+        """Range of this rank among ``count`` lines."""
         return slice(0, count)
 
     def check(self, count: int) -> None:
-        """Refuse lines that are too few to go round."""
+        """InputError if there are too few lines for all ranks."""
 
     def gather(self, part: Shaped[Tensor, "own ..."], count: int) -> Shaped[Tensor, "lines ..."]:
-        """The rows of all processes, in order."""
+        """Return the rows of all ranks, in order."""
         return part
 
     def collect(self, part: Shaped[Tensor, "own ..."], count: int) -> Shaped[Tensor, "lines ..."]:
-        """The rows of all processes, in order, at the first one; none at the others."""
+        """Return the rows of all ranks, in order, on rank 0; no rows on the others."""
         return part
 
     def sum(self, whole: Int[Tensor, "..."]) -> None:
-        """Add the numbers of all processes, in place."""
+        """Sum over all ranks, in place."""
 
     def either(self, whole: Bool[Tensor, "..."]) -> None:
-        """What is true for any process, in place."""
+        """Logical or over all ranks, in place."""
 
     def first(self, whole: Shaped[Tensor, "..."]) -> Shaped[Tensor, "..."]:
         """Return the tensor of the first process; the others pass one of the same shape to fill."""
@@ -75,12 +75,12 @@ class Shards:
 
 
 class Processes(Shards):
-    """The processes of a group.
+    """The ranks of a process group.
 
     Parameters
     ----------
     distributed : module
-        ``torch.distributed`` with its default group open, or what does the same.
+        ``torch.distributed`` with its default group open, or an object with the same functions.
     """
 
     def __init__(self, distributed: Any) -> None:
@@ -90,12 +90,12 @@ class Processes(Shards):
         self._distributed = distributed
 
     def own(self, count: int) -> slice:
-        """The rows of this process: as many blocks for each, fewer for the last."""
+        """Range of this rank: the same number of blocks for each, fewer for the last ones."""
         rows = self._rows(count)
         return slice(min(self.rank * rows, count), min((self.rank + 1) * rows, count))
 
     def check(self, count: int) -> None:
-        """Refuse lines that are too few to go round."""
+        """InputError if there are too few lines for all ranks."""
         if (self.processes - 1) * self._rows(count) >= count:
             most = -(-count // self._rows(count))
             raise InputError(
@@ -107,14 +107,14 @@ class Processes(Shards):
         return -(-count // (BLOCK * self.processes)) * BLOCK
 
     def gather(self, part: Shaped[Tensor, "own ..."], count: int) -> Shaped[Tensor, "lines ..."]:
-        """The rows of all processes, in order."""
+        """Return the rows of all ranks, in order."""
         rows = self._rows(count)
         whole = part.new_empty(self.processes * rows, *part.shape[1:])
         self._call(self._distributed.all_gather, part, list(whole.split(rows)), self._padded(part, rows))
         return whole[:count]
 
     def collect(self, part: Shaped[Tensor, "own ..."], count: int) -> Shaped[Tensor, "lines ..."]:
-        """The rows of all processes, in order, at the first one; none at the others."""
+        """Return the rows of all ranks, in order, on rank 0; no rows on the others."""
         rows = self._rows(count)
         whole = part.new_empty(0 if self.rank else self.processes * rows, *part.shape[1:])
         places = None if self.rank else list(whole.split(rows))
@@ -122,22 +122,22 @@ class Processes(Shards):
         return whole[:count]
 
     def sum(self, whole: Int[Tensor, "..."]) -> None:
-        """Add the numbers of all processes, in place."""
+        """Sum over all ranks, in place."""
         self._call(self._distributed.all_reduce, whole, whole)
 
     def either(self, whole: Bool[Tensor, "..."]) -> None:
-        """What is true for any process, in place."""
+        """Logical or over all ranks, in place."""
         word = whole.view(torch.uint8)
         self._call(self._distributed.all_reduce, word, word, self._distributed.ReduceOp.MAX)
 
     def first(self, whole: Shaped[Tensor, "..."]) -> Shaped[Tensor, "..."]:
-        """What the first process has; the others give a tensor of the same shape to fill."""
+        """Return the tensor of rank 0; the others pass one of the same shape, to be filled."""
         whole = whole.contiguous()
         self._call(self._distributed.broadcast, whole.flatten()[:0] if self.rank else whole, whole, 0)
         return whole
 
     def _padded(self, part: Shaped[Tensor, "own ..."], rows: int) -> Shaped[Tensor, "rows ..."]:
-        """The last process has fewer rows than the others."""
+        """Pad to ``rows`` rows: the last ranks have fewer."""
         return torch.cat([part, part.new_zeros(rows - len(part), *part.shape[1:])]) if len(part) < rows else part
 
     def _call(self, operation: Callable[..., Any], sent: Tensor, *words: Any) -> None:

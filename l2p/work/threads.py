@@ -2,7 +2,7 @@
 
 Torch's own threads share every single operation, and wait for each other after it. Blocks that fit the cache are far
 too small for that: on a busy machine, or with ``OMP_WAIT_POLICY=PASSIVE``, two such threads are slower than one
-(``benchmarks/block_threads.py``). Blocks that know nothing of each other need not wait.
+(``benchmarks/block_threads.py``). Independent blocks need no such waiting.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ import torch
 
 from l2p.work.memory import fitting
 
-#: Blocks that wait for each thread, done or to be done, so that no thread waits for one.
+#: Queue depth per thread: blocks begun or finished, but not yet consumed, so that no thread is idle.
 _AHEAD = 2
-#: Threads that can be asked for: OpenMP crashes the process where the system does not give it as many.
+#: Most threads that are accepted: OpenMP crashes the process if the system refuses to start them.
 MOST_THREADS = 1024
 
 Result = TypeVar("Result")
 
 
 def even_size(count: int, most: int) -> int:
-    """The size of blocks of no more than ``most`` rows that gives each of torch's threads as many of them."""
+    """Size of blocks, at most ``most`` rows, that gives each of torch's threads the same number of blocks."""
     threads = torch.get_num_threads()
     return max(1, math.ceil(count / (threads * math.ceil(max(1, count) / (threads * most)))))
 

@@ -16,7 +16,7 @@ import l2p
 from l2p.attacks.attack import Attack, Elements, Estimate, locate
 from l2p.attacks.heuristic import Heuristic
 from l2p.attacks.learned.checkpoint import shipped
-from l2p.attacks.run import recover, usable_device, run
+from l2p.attacks.run import recover, run, usable_device
 from l2p.errors import InputError
 from l2p.geometry.frame import Frame
 from l2p.judging.accuracy import errors, spacing

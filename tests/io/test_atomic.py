@@ -117,7 +117,7 @@ def test_an_old_folder_comes_back_when_the_new_one_cannot_be_put(tmp_path, monke
 def test_outputs_that_cannot_be_are_refused_at_once(tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "folder").mkdir()
-    with pytest.raises(InputError, match=r"file exists; choose another -o or add --force"):
+    with pytest.raises(InputError, match=r"file exists; choose another path, or replace it \(--force"):
         check_file(tmp_path / "file")
     with pytest.raises(InputError, match="folder is a folder; expected the name of a file"):
         check_file(tmp_path / "folder", overwrite=True)
@@ -127,7 +127,7 @@ def test_outputs_that_cannot_be_are_refused_at_once(tmp_path):
         check_file("/dev/null", overwrite=True)
     with pytest.raises(InputError, match="file is a file; expected the name of a folder"):
         check_folder(tmp_path / "file", overwrite=True)
-    with pytest.raises(InputError, match="folder exists; choose another -o or add --force"):
+    with pytest.raises(InputError, match="folder exists; choose another path, or replace it"):
         check_folder(tmp_path / "folder")
 
 

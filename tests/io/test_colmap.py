@@ -93,7 +93,7 @@ def test_the_input_is_never_written_to(tmp_path, write_model):
     ids, xyz = recovered(folder)
     (tmp_path / "link").symlink_to(folder)
     for out in (folder, tmp_path / "link", tmp_path / "model" / ".." / "model", folder / "inside", tmp_path):
-        with pytest.raises(InputError, match="share a folder; choose an -o apart from the model"):
+        with pytest.raises(InputError, match="share a folder; choose another output folder"):
             save_recovered_model(folder, ids, xyz, out, overwrite=True)
     assert contents(folder) == before
     assert sorted(os.listdir(tmp_path)) == ["link", "model"]
@@ -103,7 +103,7 @@ def test_only_a_model_is_replaced(tmp_path, write_model):
     folder = write_model(tmp_path / "model")
     ids, xyz = recovered(folder)
     save_recovered_model(folder, ids, xyz, tmp_path / "out")
-    with pytest.raises(InputError, match="out exists; choose another -o or add --force"):
+    with pytest.raises(InputError, match="out exists; choose another path, or replace it"):
         save_recovered_model(folder, ids, xyz, tmp_path / "out")
     save_recovered_model(folder, ids[:5], xyz[:5], tmp_path / "out", overwrite=True)
     assert len(load_scene(tmp_path / "out")) == 5

@@ -384,7 +384,7 @@ def test_a_ply_with_an_empty_list_is_read_without_a_word(tmp_path, recwarn):
 
 def test_an_existing_file_is_kept(tmp_path):
     (tmp_path / "lines.npz").write_bytes(b"precious")
-    with pytest.raises(InputError, match=r"exists; choose another -o or add --force"):
+    with pytest.raises(InputError, match=r"exists; choose another path, or replace it"):
         l2p.save(cloud_of(), tmp_path / "lines.npz")
     assert (tmp_path / "lines.npz").read_bytes() == b"precious"
     l2p.save(cloud_of(), tmp_path / "lines.npz", overwrite=True)

@@ -1,4 +1,4 @@
-"""Pages to look at: the report of an audit and the view of a file, each one HTML file that needs no network."""
+"""HTML pages: the report of an audit and the view of a file, each a single file that needs no network."""
 
-#: Points of each cloud that a view draws unless told otherwise: a few milliseconds a frame, half a megabyte a layer.
+#: Most points per cloud in a view, by default: a few milliseconds per frame, half a megabyte per layer.
 MOST_POINTS = 30_000

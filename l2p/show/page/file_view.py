@@ -1,4 +1,4 @@
-"""The page that shows what is in one file: a scene, a truth, a line cloud or a recovery."""
+"""The page that shows one file: a scene, a truth, a line cloud or a recovery."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from l2p.show.page.render import render
 
 
 def view_page(exhibit: Exhibit, name: str, kind: str) -> bytes:
-    """The page, UTF-8; ``kind`` says what the file is, as in ``a line cloud (npz)``."""
+    """Render the page, UTF-8; ``kind`` is the kind of the file in words, such as ``a line cloud (npz)``."""
     what = f"This is {kind} of {count(len(exhibit))} {'points' if exhibit.lines is None else 'lines'}."
     if exhibit.confidence is not None and not exhibit.calibrated:
         what += " Its confidence ranks points and is no probability."

@@ -1,4 +1,4 @@
-"""Numbers as people write them."""
+"""Numbers as text."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ _SPACE = "\N{NO-BREAK SPACE}"
 
 
 def percent(share: float) -> str:
-    """A share as people write it; with a decimal where it is almost nothing or almost all.
+    """A share in percent, with a decimal below 1 and above 99 percent.
 
     >>> [percent(share) for share in (0.6234, 0.005, 1.0, 0.9996)]
     ['62\\xa0%', '0.5\\xa0%', '100\\xa0%', '99.9\\xa0%']
@@ -21,7 +21,7 @@ def percent(share: float) -> str:
 
 
 def fraction(share: float) -> str:
-    """A share that somebody chose, with all its digits.
+    """A share that the user chose, in percent with all its digits.
 
     >>> fraction(0.07), fraction(0.125)
     ('7\\xa0%', '12.5\\xa0%')
@@ -30,7 +30,7 @@ def fraction(share: float) -> str:
 
 
 def length(value: float, metric: bool) -> str:
-    """A length in scene units, in metres or centimetres if these are metres.
+    """A length in scene units, or in metres or centimetres if ``metric`` (scene units are metres).
 
     >>> [length(value, True) for value in (0.0412, 0.999, 12.34)], length(0.0412, False)
     (['4.1\\xa0cm', '0.999\\xa0m', '12.3\\xa0m'], '0.0412 scene units')
@@ -41,7 +41,7 @@ def length(value: float, metric: bool) -> str:
 
 
 def count(number: int) -> str:
-    """A number with its thousands apart.
+    """A number with commas between thousands.
 
     >>> count(20000)
     '20,000'

@@ -1,4 +1,4 @@
-"""From templates to one HTML file: everything that comes from the input is escaped, everything else is inside."""
+"""Templates to one HTML file: text from the input is escaped, scripts and data are embedded."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SCRIPTS = ("theme.js", "viewer.js")
 def render(
     template: str, title: str, exhibits: Sequence[tuple[str, Exhibit]], most_points: int = MOST_POINTS, **words: Any
 ) -> bytes:
-    """A page with an interactive view of the exhibits, UTF-8; ``words`` are what its template names."""
+    """Render a page with an interactive view of the exhibits, UTF-8; ``words`` are variables of its template."""
     environment = _environment()
     script = "".join(_source(name) for name in _SCRIPTS)
     page = environment.get_template(template).render(
@@ -34,12 +34,12 @@ def render(
         **_choices(exhibits[0][1]),
         **words,
     )
-    # Names of files may hold bytes that are no text.
+    # File names may hold bytes that are not UTF-8.
     return page.encode("utf-8", errors="replace")
 
 
 def _choices(exhibit: Exhibit) -> dict[str, Any]:
-    """What can be chosen in the view."""
+    """Layers and colours that the view offers."""
     layers = {"points": "True points", "lines": "Line cloud", "recovered": "Recovered points"}
     colors = {
         "error": ("By error", exhibit.error),
@@ -55,7 +55,7 @@ def _choices(exhibit: Exhibit) -> dict[str, Any]:
 
 
 def _thinned(exhibits: Sequence[tuple[str, Exhibit]], most_points: int) -> str:
-    """What the view leaves out; empty if it shows everything."""
+    """Sentence on what the view leaves out; empty if it shows everything."""
     left_out = []
     if any(len(exhibit) > most_points for _, exhibit in exhibits):
         left_out.append(f"at most {count(most_points)} points")
@@ -80,6 +80,6 @@ def _environment() -> Any:
 
 
 def _source(name: str) -> str:
-    """A file of the templates as it is."""
+    """Read a file beside the templates, unrendered."""
     environment = _environment()
     return environment.loader.get_source(environment, name)[0]

@@ -14,7 +14,7 @@ from l2p.show.exhibit import Exhibit
 from l2p.show.page import MOST_POINTS
 from l2p.show.stance import Stance
 
-#: Lines that a view draws at most; more fill the picture evenly and show nothing else.
+#: Most lines that a view draws; more fill the picture evenly and show no structure.
 MOST_LINES = 4_000
 #: Steps of the confidence slider.
 LEVELS = 100
@@ -23,14 +23,14 @@ ERROR_LIMIT = 2.0
 
 
 def view_data(exhibits: Sequence[tuple[str, Exhibit]], most_points: int = MOST_POINTS) -> dict[str, Any]:
-    """What the view's script reads: plain values for JSON.
+    """The data of the view's script, as plain values for JSON.
 
     Parameters
     ----------
     exhibits : sequence of (str, Exhibit)
-        Clouds with what their button says; the first one is shown at first, and all are seen from its stance.
+        Labels and clouds; the first one is shown first, and its stance is that of all.
     most_points : int
-        Larger clouds are thinned, at random, to as many points.
+        Larger clouds are thinned to this many points, at random.
     """
     stance = Stance.before(exhibits[0][1])
     clouds = [_cloud(label, exhibit, stance, most_points) for label, exhibit in exhibits]
@@ -46,8 +46,8 @@ def _cloud(label: str, exhibit: Exhibit, stance: Stance, most_points: int) -> di
         "label": label,
         "count": len(exhibit),
         "shown": len(rows),
-        "points": _places(exhibit.points, rows, stance),
-        "recovered": _places(exhibit.recovered, rows, stance),
+        "points": _positions(exhibit.points, rows, stance),
+        "recovered": _positions(exhibit.recovered, rows, stance),
         "rgb": None if exhibit.rgb is None else _base64(exhibit.rgb[rows]),
         "level": None if level is None else _base64(level[rows].astype(np.uint8)),
         "error": None if error is None else _base64(error[rows]),
@@ -57,24 +57,26 @@ def _cloud(label: str, exhibit: Exhibit, stance: Stance, most_points: int) -> di
     }
 
 
-def _places(points: Float[np.ndarray, "rows 3"] | None, rows: Int[np.ndarray, " some"], stance: Stance) -> str | None:
+def _positions(
+    points: Float[np.ndarray, "rows 3"] | None, rows: Int[np.ndarray, " some"], stance: Stance
+) -> str | None:
     return None if points is None else _base64(stance.enter(points[rows]).astype("<f4"))
 
 
 def _lines(lines: LineCloud | None, rows: Int[np.ndarray, " some"], stance: Stance) -> dict[str, Any]:
-    """The ends of the drawn lines, how many these are, and of how many that were chosen: some may pass by."""
+    """Ends of the drawn lines, their number, and the number of lines tried: some may miss the view."""
     if lines is None:
         return {"lines": None, "linesTried": 0, "linesShown": 0}
-    some = rows[_thinned(len(rows), MOST_LINES)]
-    chords = stance.chords(LineCloud(lines.direction[some], lines.moment[some]))
-    return {"lines": _base64(chords.astype("<f4")), "linesTried": len(some), "linesShown": len(chords)}
+    tried = rows[_thinned(len(rows), MOST_LINES)]
+    chords = stance.chords(LineCloud(lines.direction[tried], lines.moment[tried]))
+    return {"lines": _base64(chords.astype("<f4")), "linesTried": len(tried), "linesShown": len(chords)}
 
 
 def _counts(
     level: Int[np.ndarray, " rows"] | None, inside: Bool[np.ndarray, " rows"] | None, exhibit: Exhibit
 ) -> dict[str, Any]:
-    """For each step of the slider, of all points and not only of those shown: how many stay, and how many of these
-    are within 1 spacing, or are expected to be if that is only predicted."""
+    """Points that stay at each step of the slider, and those of them within 1 spacing: measured, or expected from a
+    calibrated confidence. All points count, not only those shown."""
     if level is None:
         return {"kept": None, "right": None, "measured": False}
     right = inside if inside is not None else exhibit.confidence if exhibit.calibrated else None
@@ -86,18 +88,18 @@ def _counts(
 
 
 def _at_least(level: Int[np.ndarray, " rows"], weight: Float[np.ndarray, " rows"]) -> list[int]:
-    """For each level the sum of the weights there and above."""
+    """Sum of the weights at each level and above."""
     total = np.bincount(level, weight, minlength=LEVELS + 1)[::-1].cumsum()[::-1]
     return np.rint(total).astype(int).tolist()
 
 
 def _level(confidence: Float[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"]:
-    """The last step of the slider at which each point stays."""
+    """Last step of the slider at which each point stays."""
     return np.clip(np.floor(confidence.astype(np.float64) * LEVELS + 1e-6), 0, LEVELS).astype(np.int64)
 
 
 def _thinned(count: int, most: int) -> Int[np.ndarray, " some"]:
-    """At most so many rows, at random, the same ones each time."""
+    """At most ``most`` rows, at random, the same in every call."""
     if count <= most:
         return np.arange(count)
     return np.sort(np.random.default_rng(0).choice(count, most, replace=False))
