@@ -33,15 +33,11 @@ facade, a street, or terrain seen by a drone.
 ## How it works
 
 1. A *layout* builds textured rectangles, boxes, ellipsoids, cylinders and balls of leaves, and a camera path.
-2. *Texture* is some ten thousand small structures on the surfaces (blobs, strokes, outlines, corners), in clusters with
-   log-normal sizes and weights.
+2. *Texture* is some ten thousand small structures on the surfaces, in clusters.
 3. A *keypoint* is drawn by the area of its structure in the image, so what the cameras look at gets most points. It is
    matched in images from a similar direction and distance, unless a body hides it. At least two images must agree.
 4. Observations get pixel noise; the point is their *least-squares* point, filtered as in COLMAP (4 pixels, 1.5
-   degrees). So errors are long along the viewing rays, grow with depth over baseline and fall with the track's length.
-   A few matches are wrong along the epipolar line and become floaters.
-
-`l2p.simulator.simulate_model` also returns the observations and writes a COLMAP model.
+   degrees). So errors are long along the viewing rays. A few matches are wrong along the epipolar line: floaters.
 
 ## Comparison with real models
 
