@@ -25,49 +25,37 @@ from l2p.simulator import KINDS
 
 TEXT = """# The simulator, and how real it is
 
-`l2p.simulate(kind, points, seed)` makes the sparse points of an SfM model without any data: a room, objects on a
-table, a facade, a street, or terrain seen by a drone. It is the data of everything that must run without downloads.
+`l2p.simulate(kind, points, seed)` makes the sparse points of an SfM model without data: a room, objects on a table, a
+facade, a street, or terrain seen by a drone.
 
 ![One simulated scene of each kind](images/simulator.png)
 
 ## How it works
 
-1. A *layout* builds textured rectangles, boxes, ellipsoids, cylinders and balls of leaves, and a camera path: a walk,
-   orbits, an arc on foot, a drive, a drone's grid.
-2. *Texture* is some ten thousand small structures on the surfaces: blobs, strokes, outlines, corners, in clusters whose
-   sizes and weights are log-normal. Paint has almost none, print has many.
-3. A *keypoint* is drawn by the image area that its structure covers (not by its area in the world), so what the
-   cameras look at gets most points and the far background few. It gets a reference image and is matched in images that
-   see it from a similar direction and distance, unless a body hides it there. At least two images must agree.
-4. Each observation gets pixel noise; the point is the *least-squares* point of its observations, and COLMAP's filters
-   apply (4 pixels, 1.5 degrees). So the noise is not a model: it is long along the viewing rays, grows with depth over
-   baseline and falls with the length of the track. A few matches are wrong along the epipolar line and become floaters.
-
-`l2p.simulator.simulate_model` returns the observations, too, and writes a COLMAP model that pycolmap reads back.
+1. A *layout* builds textured rectangles, boxes, ellipsoids, cylinders and balls of leaves, and a camera path.
+2. *Texture* is some ten thousand small structures on the surfaces, in clusters.
+3. A *keypoint* is drawn by the area of its structure in the image, so what the cameras look at gets most points. It is
+   matched in images from a similar direction and distance, unless a body hides it. At least two images must agree.
+4. Observations get pixel noise; the point is their *least-squares* point, filtered as in COLMAP (4 pixels, 1.5
+   degrees). So errors are long along the viewing rays. A few matches are wrong along the epipolar line: floaters.
 
 ## Comparison with real models
 
-Written by `{{COMMAND}}`, which also writes the figures of every scene to `simulator.csv`. Real
-clouds have the arrays of `../shared/scenes`; the simulator was tuned on `train` only. Of every scene at most
-{{POINTS}} random points are taken, and these are then the whole scene. A real scene stands in the row of the kind
-that is nearest to it. A single seed of lines is used.
+Written by `{{COMMAND}}`; every scene is in
+[simulator.csv](simulator.csv). Real maps are in `../shared/scenes`, each in the row of the nearest kind; the simulator
+was tuned on `train` only. Each scene is thinned to at most {{POINTS}} random points; one seed of lines.
 
 - *nearest*: median distance to the nearest neighbour over the diagonal of the 1 to 99 % box;
 - *spread of density*: 90 % over 10 % quantile of the distance to the 10th neighbour; *log density, std*: standard
   deviation of its logarithm; *isolated*: share of points where it is over 5 times the median;
 - *planarity*: median of (l2 - l3) / l1, l1 >= l2 >= l3 the standard deviations of a point and its 16 neighbours;
-- *errors* in spacings (median distance to the 50th neighbour); *share < 1*: share of points within one spacing.
+- *errors* in spacings (median distance to the 50th neighbour); *share < 1*: points within one spacing.
 
 {{RANGES}}
 
 {{OUTSIDE}}
 
-Simulated scenes of one kind are more alike than real ones: three seeds do not span the range of real captures, and
-failed poses, drift and rolling shutter are not simulated.
-
-### Every scene
-
-{{SCENES}}
+Simulated scenes of one kind are more alike than real ones; failed poses, drift and rolling shutter are not simulated.
 """
 
 #: Real scenes of the table and the simulated kind that each is compared with.

@@ -84,11 +84,10 @@ COLUMNS = (
 )
 
 NOTE = (
-    "Errors are in spacings, the median distance to the 50th neighbour in the full true cloud. Medians and ratios are "
-    "geometric, all other figures arithmetic means over the scenes. A neighbour is right if it is among the k nearest "
-    "points, k as many as the method used. The calibration error is that of the confidence as the probability of lying "
-    "within 1 spacing, in 15 bins of all scenes with equal weight, beside the greatest of a single scene. Seconds are "
-    "wall time a scene on a machine that may have had other work."
+    "Errors are in spacings: median distance to the 50th neighbour in the full true cloud. Over scenes, medians and "
+    "ratios are pooled by the geometric, other figures by the arithmetic mean. A neighbour is right if it is among the "
+    "k nearest points, k as many as the method used. Calibration error: of the confidence as the probability of lying "
+    "within 1 spacing, in 15 bins, scenes weighted equally. Seconds: wall time per scene, beside other work."
 )
 
 
@@ -119,7 +118,7 @@ def document(
     machine, versions = about["machine"], about["versions"]
     parts = [
         f"# Results: {about['config']['name']}",
-        f"Made by this command, which continues where it was stopped:\n\n```\n{about['command']}\n```",
+        f"Made by this command, which continues a stopped run:\n\n```\n{about['command']}\n```",
         f"Predictions by commit {', '.join(made)}; {machine['processor']}, {machine['cores']} cores, "
         f"threads: {about['config']['threads'] or 'all'}; "
         + ", ".join(f"{name} {version}" for name, version in versions.items())
@@ -127,7 +126,7 @@ def document(
         " ".join(filter(None, (NOTE, _seeds_note(rows)))),
         *(f"## {table.title}\n\n{markdown(table)}" for table in found),
         "## Figures",
-        *(f"![{caption}]({path.relative_to(folder).as_posix()})\n\n{caption}" for path, caption in images),
+        *(f"![{path.stem}]({path.relative_to(folder).as_posix()})\n\n{caption}." for path, caption in images),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -179,8 +178,7 @@ def tables(rows: Sequence[Row]) -> list[Table]:
     return [
         overview(rows, fractions),
         *(method_table([row for row in rows if row["fraction"] == fraction], fraction) for fraction in fractions),
-        scene_table("medians", largest, MEDIAN, fractions[0]),
-        scene_table("shares", largest, SHARE, fractions[0]),
+        scene_table(largest, fractions[0]),
     ]
 
 
@@ -215,16 +213,17 @@ def method_table(rows: Sequence[Row], fraction: float) -> Table:
     return Table(f"{100 * fraction:g}%", title, ["method", *(column.heading for column in COLUMNS)], body)
 
 
-def scene_table(name: str, rows: Sequence[Row], column: Column, fraction: float) -> Table:
-    """One figure of each method on each scene."""
+def scene_table(rows: Sequence[Row], fraction: float) -> Table:
+    """Median error and share within 1 spacing of each method on each scene."""
     methods = distinct(rows, "method")
     body = []
     for scene in distinct(rows, "scene"):
         own = [row for row in rows if row["scene"] == scene]
-        figures = [pooled([row for row in own if row["method"] == method], column) for method in methods]
+        there = [[row for row in own if row["method"] == method] for method in methods]
+        figures = [f"{pooled(here, MEDIAN)} / {pooled(here, SHARE)}" if here else "-" for here in there]
         body.append([scene, own[0]["kind"], str(own[0]["lines"]), *figures])
-    title = f"{column.heading}, each scene at {100 * fraction:g} %"
-    return Table(name, title, ["scene", "kind", "lines", *methods], body)
+    title = f"each scene at {100 * fraction:g} %: median / share within 1 spacing"
+    return Table("scenes", title, ["scene", "kind", "lines", *methods], body)
 
 
 def pooled(rows: Sequence[Row], column: Column) -> str:

@@ -267,7 +267,7 @@ def figures_of(text: str) -> Iterator[str]:
 
 
 #: Pages whose figures are those of a run.
-MEASURED = ("experiments.md", "results.md", "results-classical.md", "simulator.md")
+MEASURED = ("experiments.md", "results.md", "simulator.md")
 
 
 def test_figures_of_open_problems_are_measured() -> None:

@@ -198,7 +198,7 @@ def test_tables_replace_what_is_between_their_marks() -> None:
     assert once.startswith("a\n<!-- eval:mine:overview -->\n\n| share") and once.endswith("|\n\n<!-- /eval -->\nc\n")
     assert updated(once, "mine", found) == once
     assert updated(text, "other", found) is None
-    with pytest.raises(InputError, match=r"got <!-- eval:mine:none -->; expected a table of overview, 100%, medians"):
+    with pytest.raises(InputError, match=r"got <!-- eval:mine:none -->; expected a table of overview, 100%, scenes"):
         updated("<!-- eval:mine:none -->\n<!-- /eval -->", "mine", found)
     for open_end in ("<!-- eval:mine:100% -->\n", "<!-- eval:mine:100% -->\n" + text):
         with pytest.raises(InputError, match=r"got <!-- eval:mine:100% --> without <!-- /eval --> after it"):
