@@ -7,23 +7,20 @@ in ``CONTENDERS``. A user's own needs no entry: ``{name: call, path: package.mod
 from __future__ import annotations
 
 import hashlib
-import importlib
-import sys
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
-from omegaconf import OmegaConf
+from omegaconf import MISSING, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from l2p.attacks.attack import Attack
-from l2p.attacks.heuristic import Heuristic, HeuristicConfig
 from l2p.attacks.learned import checkpoint
+from l2p.attacks.named import imported, named_attack
 from l2p.attacks.run import run
-from l2p.attacks.tomographic import TomographicConfig, Tomography
+from l2p.attacks.settings import ATTACKS, METHODS
 from l2p.checks import finite_rows
 from l2p.errors import InputError
 from l2p.io.kinds import Kind, kind_of
@@ -93,54 +90,31 @@ class Peer:
 
 
 @dataclass(frozen=True)
-class LearnedContender(Peer):
-    """Tomography, then rounds of a trained network; it knows the density. ``checkpoint`` null: the shipped one."""
+class AttackContender(Peer):
+    """An attack by its name, or a user's own by ``package.module:Attack``.
 
-    label: str = "learned"
-    checkpoint: str | None = None
-    rounds: int | None = None
+    Attacks of l2p know the fraction and the kind of scene, unless ``settings`` say otherwise.
+    """
+
+    name: str = ""
+    settings: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        checkpoint.load(self.file, rounds=self.rounds)  # refused before any work
-
-    @property
-    def file(self) -> Path:
-        """The checkpoint."""
-        return checkpoint.shipped() if self.checkpoint is None else Path(self.checkpoint)
+        _default_label(self, self.name.rpartition(":")[2])
+        named_attack(self.name, **self.settings)  # refused before any work
 
     def build(self, trial: Trial) -> Attack:
-        """The attack of the checkpoint; its confidence is about the spacing of the full cloud."""
-        return checkpoint.load(self.file, rounds=self.rounds, density=trial.fraction)
+        """The attack for this trial."""
+        known = {"fraction": trial.fraction, "scene_kind": PAPER_KIND[trial.kind]}
+        names = ATTACKS[self.name].names if self.name in ATTACKS else ()
+        own = {name: value for name, value in known.items() if name in names}
+        return named_attack(self.name, **{**own, **self.settings})
 
     def files(self, cloud: str) -> dict[str, str]:
         """The checkpoint's digest."""
-        return {"digest": checkpoint.digest(self.file)}
-
-
-@dataclass(frozen=True)
-class HeuristicContender(Peer):
-    """The paper's attack; it knows kind of scene and density, unless a ``density`` stands in for the true one."""
-
-    label: str = "heuristic"
-    rounds: int = HeuristicConfig.rounds
-    density: float | None = None
-
-    def build(self, trial: Trial) -> Attack:
-        """The heuristic with the paper's counts for the scene's kind and the fraction."""
-        density = trial.fraction if self.density is None else self.density
-        return Heuristic(HeuristicConfig(PAPER_KIND[trial.kind], density, self.rounds))
-
-
-@dataclass(frozen=True)
-class TomographyContender(Peer):
-    """Expectation maximisation on a sparse grid, then the votes around its modes."""
-
-    label: str = "tomography"
-    rounds: int = TomographicConfig.rounds
-
-    def build(self, trial: Trial) -> Attack:
-        """The method, the same for every trial."""
-        return Tomography(TomographicConfig(rounds=self.rounds))
+        if "checkpoint" not in (ATTACKS[self.name].names if self.name in ATTACKS else ()):
+            return {}
+        return {"digest": checkpoint.digest(self.settings.get("checkpoint") or checkpoint.shipped())}
 
 
 @dataclass(frozen=True)
@@ -200,6 +174,17 @@ class LeaveOneOutContender(Peer):
     def build(self, trial: Trial) -> Attack:
         """The bound for these points."""
         return LeaveOneOut(trial.truth, self.k)
+
+
+@dataclass(frozen=True)
+class UserAttackContender(AttackContender):
+    """A user's own :class:`l2p.attacks.attack.Attack` at ``path``, ``package.module:Attack``, with its ``settings``."""
+
+    path: str = MISSING
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", self.path)
+        super().__post_init__()
 
 
 @dataclass(frozen=True)
@@ -263,14 +248,12 @@ class FolderContender:
         return Path(self.path) / f"{cloud}.npz"
 
 
-#: Every method that a config may name.
+#: Every method that a config may name, besides the attacks of l2p.
 CONTENDERS: dict[str, type[Any]] = {
-    "learned": LearnedContender,
-    "heuristic": HeuristicContender,
-    "tomography": TomographyContender,
     "oracle": OracleContender,
     "candidate_oracle": CandidateOracleContender,
     "loo": LeaveOneOutContender,
+    "attack": UserAttackContender,
     "call": CallContender,
     "folder": FolderContender,
 }
@@ -295,10 +278,15 @@ def contender_of(entry: dict[str, Any]) -> Contender:
         If the name or a parameter is unknown or of another type.
     """
     name = entry.get("name")
-    if name not in CONTENDERS:
-        raise InputError(f"got method {name!r}; expected a name of {', '.join(CONTENDERS)}")
+    if name not in CONTENDERS and name not in ATTACKS:
+        raise InputError(f"got method {name!r}; expected a name of {', '.join((*METHODS, *CONTENDERS))}")
     parameters = {key: value for key, value in entry.items() if key != "name"}
     try:
+        if name in ATTACKS:
+            settings = {key: value for key, value in parameters.items() if key != "label"}
+            checked: Any = OmegaConf.merge(OmegaConf.structured(ATTACKS[name].settings), settings)
+            given = {key: checked[key] for key in settings if checked[key] is not None}
+            return AttackContender(parameters.get("label") or name, name, given)
         return OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(CONTENDERS[name]), parameters))  # type: ignore[return-value]
     except OmegaConfBaseException as error:
         sentence = str(error).splitlines()[0]
@@ -311,20 +299,6 @@ def identity_of(contender: Contender, cloud: str) -> dict[str, Any]:
     if parameters.get("calibrated", 0) is None:
         del parameters["calibrated"]  # records of earlier versions have no such entry
     return {"class": type(contender).__name__, **parameters, **contender.files(cloud)}
-
-
-def imported(path: str) -> Callable[..., Any]:
-    """The callable at ``package.module:callable``; modules in the working folder are found."""
-    module, _, name = path.partition(":")
-    if str(Path.cwd()) not in sys.path and "" not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InputError(f"got path {path!r}; expected package.module:callable, but {error}") from error
-    if not callable(found):
-        raise InputError(f"got path {path!r}, which is a {type(found).__name__}; expected a callable")
-    return found
 
 
 def as_recovery(answer: Any, lines: LineCloud, source: str, calibrated: bool | None = None) -> Recovery:

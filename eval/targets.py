@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from eval.contenders import Contender, HeuristicContender, LeaveOneOutContender
+from eval.contenders import AttackContender, Contender, LeaveOneOutContender
 from eval.mean_curves import pooled_calibration_error
 from eval.result_tables import Column, Table, arithmetic_mean, decimals, distinct, geometric_mean, percent, pooled
 from eval.scoring import Row
@@ -32,10 +32,19 @@ class References:
     @classmethod
     def of(cls, methods: Sequence[Contender]) -> References:
         """The paper's attack with the paper's counts, and leave-one-out."""
-        heuristic = [m.label for m in methods if isinstance(m, HeuristicContender) and m.density is None]
+        heuristic = [
+            m.label
+            for m in methods
+            if isinstance(m, AttackContender) and m.name == "heuristic" and "fraction" not in m.settings
+        ]
         loo = [m.label for m in methods if isinstance(m, LeaveOneOutContender)]
         knowing = frozenset(m.label for m in methods if m.knows_truth)
         return cls(next(iter(heuristic), None), next(iter(loo), None), knowing)
+
+
+def _is_papers(method: Contender) -> bool:
+    """Whether it is the paper's attack with the paper's counts."""
+    return isinstance(method, AttackContender) and method.name == "heuristic" and "fraction" not in method.settings
 
 
 def _maximum(values: Sequence[Any]) -> float:

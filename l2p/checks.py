@@ -27,6 +27,12 @@ def finite_rows(name: str, value: object) -> Float[np.ndarray, "lines 3"]:
     return array
 
 
+def check_fraction(value: float) -> None:
+    """Refuse a share of the points that is not in (0, 1]."""
+    if not 0 < value <= 1:
+        raise InputError(f"got fraction {value:g}; expected a number in (0, 1], a share of the points")
+
+
 def element_rows(value: object, rows: int) -> Int[np.ndarray, " rows"]:
     """``value`` as the element (line) of each row, int64; None gives every row its own."""
     if value is None:

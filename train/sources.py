@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,7 +70,7 @@ def validation_sources(data: DataSettings) -> list[CloudSource]:
     return sources
 
 
-def _sources(entries: tuple[str, ...]) -> list[str]:
+def _sources(entries: Sequence[str]) -> list[str]:
     """Sources of the scenes, with absolute paths, so that they do not depend on the working directory."""
     sources = [scene.source for scene in scenes_of(entries, {})]
     return [source if source.startswith("sim:") else str(Path(source).resolve()) for source in sources]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
 from pathlib import Path
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
@@ -20,27 +20,22 @@ from l2p.work.threads import MOST_THREADS
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 
 
-def _keys_of(kind: type) -> type:
-    """The keys of a frozen dataclass of the package as a node that hydra may write to."""
-    hints = get_type_hints(kind)
-    made = []
-    for entry in fields(kind):
-        of = hints[entry.name]
-        if is_dataclass(of):
-            # The field's own default, such as a round's peak, not the default of its class.
-            values = {name.name: getattr(entry.default, name.name) for name in fields(of)}
-            keys = _keys_of(of)  # type: ignore[arg-type]
-            made.append((entry.name, keys, field(default_factory=lambda keys=keys, values=values: keys(**values))))
-        elif get_origin(of) is tuple:
-            kept = list[get_args(of)[0]]  # OmegaConf knows no tuples
-            default: Any = entry.default
-            made.append((entry.name, kept, field(default_factory=lambda default=default: list(default))))
+def _keys_of(default: Any) -> Any:
+    """The keys of a frozen dataclass of the package, with its values, as a node that hydra may write to."""
+    hints = get_type_hints(type(default))
+    keys = []
+    for name, value in ((entry.name, getattr(default, entry.name)) for entry in fields(default)):
+        if is_dataclass(value):
+            keys.append((name, nested := _keys_of(value), field(default_factory=nested)))
+        elif isinstance(value, tuple):  # OmegaConf knows no tuples
+            kind = list[get_args(hints[name])[0]]
+            keys.append((name, kind, field(default_factory=lambda value=value: list(value))))
         else:
-            made.append((entry.name, of, field(default=entry.default)))
-    return make_dataclass(f"{kind.__name__}Keys", made)
+            keys.append((name, hints[name], field(default=value)))
+    return make_dataclass(f"{type(default).__name__}Keys", keys)
 
 
-NetworkKeys, LearnedKeys = _keys_of(NetworkConfig), _keys_of(LearnedConfig)
+NetworkKeys, LearnedKeys = _keys_of(NetworkConfig()), _keys_of(LearnedConfig())
 
 
 @dataclass
@@ -55,11 +50,9 @@ class TrainerKeys:
 
 
 @dataclass
-class TrainConfig:
-    """The keys of ``configs/train.yaml``, where each is explained."""
+class DataSettings:
+    """Which line clouds are trained and judged on."""
 
-    name: str = MISSING
-    run: str = MISSING
     seed: int = MISSING
     scenes: list[str] = MISSING
     simulated: int = MISSING
@@ -68,6 +61,13 @@ class TrainConfig:
     val_fractions: list[float] = MISSING
     min_lines: int = MISSING
     max_lines: int = MISSING
+
+
+@dataclass
+class FitSettings:
+    """How the network is trained."""
+
+    seed: int = MISSING
     steps: int = MISSING
     minutes: float | None = None
     clouds: int = MISSING
@@ -79,6 +79,14 @@ class TrainConfig:
     validate_every: int = MISSING
     patience: int | None = None
     save_every: int = MISSING
+
+
+@dataclass
+class TrainConfig(DataSettings, FitSettings):
+    """The keys of ``configs/train.yaml``, where each is explained."""
+
+    name: str = MISSING
+    run: str = MISSING
     threads: int | None = None
     trainer: TrainerKeys = field(default_factory=TrainerKeys)
     network: NetworkKeys = field(default_factory=NetworkKeys)  # type: ignore[valid-type]
@@ -86,38 +94,6 @@ class TrainConfig:
 
 
 ConfigStore.instance().store(name="train_schema", node=TrainConfig)
-
-
-@dataclass(frozen=True)
-class DataSettings:
-    """Which line clouds are trained and judged on."""
-
-    seed: int
-    scenes: tuple[str, ...]
-    simulated: int
-    simulated_points: tuple[int, int]
-    val: tuple[str, ...]
-    val_fractions: tuple[float, ...]
-    min_lines: int
-    max_lines: int
-
-
-@dataclass(frozen=True)
-class FitSettings:
-    """How the network is trained."""
-
-    seed: int
-    steps: int
-    minutes: float | None
-    clouds: int
-    lines_per_batch: int
-    learning_rate: float
-    weight_decay: float
-    warmup: int
-    averaging: float
-    validate_every: int
-    patience: int | None
-    save_every: int
 
 
 @dataclass(frozen=True)
@@ -172,8 +148,7 @@ def settings_of(config: DictConfig) -> Settings:
 
 
 def _some(kind: type, resolved: dict[str, Any]) -> dict[str, Any]:
-    values = {entry.name: resolved[entry.name] for entry in fields(kind)}
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    return {entry.name: resolved[entry.name] for entry in fields(kind)}
 
 
 def _check(resolved: dict[str, Any]) -> None:

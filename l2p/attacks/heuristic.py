@@ -11,8 +11,9 @@ from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate
 from l2p.attacks.peak import PeakConfig
-from l2p.attacks.settings import SCENE_KINDS
+from l2p.attacks.settings import SCENE_KINDS, HeuristicSettings
 from l2p.attacks.votes import equal_weights, member, peaks, vote
+from l2p.checks import check_fraction
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.nearest import nearest_lines_to_lines, nearest_lines_to_points, nearest_points_to_lines
@@ -20,7 +21,7 @@ from l2p.work.work import Work
 
 
 @dataclass(frozen=True)
-class HeuristicConfig:
+class HeuristicConfig(HeuristicSettings):
     """The paper's neighbour counts, from the table in its supplement (Chelani et al., CVPR 2021).
 
     Attributes
@@ -28,7 +29,7 @@ class HeuristicConfig:
     scene_kind : str
         ``outdoor``: 500 nearest lines, then 200; 100 and 50 at 5 % of the points or less. ``indoor``: 250 and 100;
         50 and 25.
-    density : float
+    fraction : float
         Share of the map's points that the line cloud holds, in (0, 1], as far as it is known.
     rounds : int
         Refinements after the coarse stage.
@@ -37,17 +38,13 @@ class HeuristicConfig:
     peak : PeakConfig
     """
 
-    scene_kind: str = "indoor"
-    density: float = 1.0
-    rounds: int = 3
     intersection: int = 10
     peak: PeakConfig = PeakConfig()
 
     def __post_init__(self) -> None:
         if self.scene_kind not in SCENE_KINDS:
             raise InputError(f"got scene kind {self.scene_kind!r}; expected one of {', '.join(SCENE_KINDS)}")
-        if not 0 < self.density <= 1:
-            raise InputError(f"got density {self.density}; expected a number in (0, 1]")
+        check_fraction(self.fraction)
         if self.rounds < 0:
             raise InputError(f"got {self.rounds} rounds; expected 0 (the coarse stage alone) or more")
 
@@ -55,14 +52,14 @@ class HeuristicConfig:
     def coarse(self) -> int:
         """Neighbours of the coarse stage."""
         return {("outdoor", True): 500, ("outdoor", False): 100, ("indoor", True): 250, ("indoor", False): 50}[
-            self.scene_kind, self.density > 0.05
+            self.scene_kind, self.fraction > 0.05
         ]
 
     @property
     def fine(self) -> int:
         """Neighbours of each refinement."""
         return {("outdoor", True): 200, ("outdoor", False): 50, ("indoor", True): 100, ("indoor", False): 25}[
-            self.scene_kind, self.density > 0.05
+            self.scene_kind, self.fraction > 0.05
         ]
 
 
@@ -119,3 +116,8 @@ class Heuristic(Attack):
     def settings(self) -> dict[str, Any]:
         """The configuration, and the neighbour counts that it leads to."""
         return {**asdict(self.config), "coarse": self.config.coarse, "fine": self.config.fine}
+
+
+def build(settings: HeuristicSettings) -> Heuristic:
+    """The attack with these settings."""
+    return Heuristic(HeuristicConfig(**asdict(settings)))

@@ -7,7 +7,6 @@ import json
 import math
 import time
 from dataclasses import replace
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -16,10 +15,8 @@ from jaxtyping import Int
 from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate, locate
-from l2p.attacks.heuristic import Heuristic, HeuristicConfig
-from l2p.attacks.learned.checkpoint import load, shipped
-from l2p.attacks.settings import DEFAULT_METHOD, METHODS, SETTINGS
-from l2p.attacks.tomographic import TomographicConfig, Tomography
+from l2p.attacks.named import named_attack
+from l2p.attacks.settings import DEFAULT_METHOD
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
@@ -34,36 +31,23 @@ from l2p.work.work import ALONE, Work
 
 def recover(
     lines: LineCloud,
-    method: str = DEFAULT_METHOD,
+    method: str | Attack = DEFAULT_METHOD,
     *,
-    checkpoint: str | PathLike[str] | None = None,
-    rounds: int | None = None,
-    scene_kind: str | None = None,
-    density: float | None = None,
     device: str = "cpu",
     memory: float | None = None,
     progress: Progress = NO_PROGRESS,
+    **settings: Any,
 ) -> Recovery:
     """Recover the points behind a line cloud.
 
     Parameters
     ----------
     lines : LineCloud
-    method : str
+    method : str or Attack
         ``learned``: tomography, then rounds of a network that weighs the votes (:mod:`l2p.attacks.learned.learned`).
         ``tomography``: expectation maximisation on a sparse grid, then the votes around its modes
-        (:mod:`l2p.attacks.tomography.reconstruct`). ``heuristic``: the attack of Chelani et al. (CVPR 2021).
-    checkpoint : path, optional
-        Weights for ``learned``, as ``python -m train`` writes them; those installed with the package when left out.
-    rounds : int, optional
-        Rounds of refinement; the method's own number when left out. ``learned`` knows as many as its checkpoint was
-        trained for, and 0: the modes of the tomography alone.
-    scene_kind : str, optional
-        ``indoor`` or ``outdoor``, for the paper's table of neighbours; with ``heuristic`` only.
-    density : float, optional
-        Share of the map's points that the lines hold, in (0, 1]; 1 when left out. ``heuristic`` chooses its numbers
-        of neighbours by it; the confidence of ``learned`` is that of lying within 1 spacing of the map, which is less
-        than a spacing of the points behind the lines. ``tomography`` has no use for it.
+        (:mod:`l2p.attacks.tomography.reconstruct`). ``heuristic``: the attack of Chelani et al. (CVPR 2021). A user's
+        own: ``package.module:Attack``, or an :class:`l2p.attacks.attack.Attack`.
     device : str
         A torch device.
     memory : float, optional
@@ -72,6 +56,16 @@ def recover(
         known when it is left out.
     progress : Progress
         Shows how far the work is.
+    **settings
+        Of the method; those left out, or None, have their defaults (:mod:`l2p.attacks.settings`):
+
+        - ``checkpoint`` (path): weights for ``learned``, as ``python -m train`` writes them.
+        - ``rounds`` (int): rounds of refinement. ``learned`` has as many as its checkpoint was trained for; 0 leaves
+          the modes of the tomography, and the coarse stage of the heuristic.
+        - ``fraction`` (float): share of the map's points that the lines hold, in (0, 1]. ``heuristic`` chooses its
+          numbers of neighbours by it; the confidence of ``learned`` is that of lying within 1 spacing of the map, which
+          is less than a spacing of the points behind the lines.
+        - ``scene_kind`` (str): ``indoor`` or ``outdoor``, for the heuristic's table of neighbours.
 
     Returns
     -------
@@ -93,34 +87,12 @@ def recover(
     >>> l2p.recover(l2p.lift(points, seed=0), method="tomography").confidence.shape
     (200,)
     """
-    chosen = named_attack(method, checkpoint=checkpoint, rounds=rounds, scene_kind=scene_kind, density=density)
-    return run(lines, chosen, device=device, memory=memory, work=Work(progress=progress), name=method)
-
-
-def named_attack(
-    name: str,
-    *,
-    checkpoint: str | PathLike[str] | None = None,
-    rounds: int | None = None,
-    scene_kind: str | None = None,
-    density: float | None = None,
-) -> Attack:
-    """The attack of that name, ready to run; what is None is left to its configuration."""
-    if name not in METHODS:
-        raise InputError(f"got method {name!r}; expected one of {', '.join(METHODS)}")
-    given = {"checkpoint": checkpoint, "rounds": rounds, "scene_kind": scene_kind, "density": density}
-    chosen: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
-    for key in chosen:
-        owners = SETTINGS.get(key, METHODS)
-        if name not in owners:
-            which = " or ".join(repr(owner) for owner in owners)
-            raise InputError(f"got a {key.replace('_', ' ')} for method {name!r}; expected it with method {which} only")
-    if name == "heuristic":
-        return Heuristic(HeuristicConfig(**chosen))
-    if name == "tomography":
-        return Tomography(TomographicConfig(**chosen))
-    file = chosen.pop("checkpoint", None)
-    return load(shipped() if file is None else file, **chosen)
+    work = Work(progress=progress)
+    if isinstance(method, Attack):
+        if settings:
+            raise InputError(f"got {', '.join(settings)} beside an attack; expected its settings in the attack itself")
+        return run(lines, method, device=device, memory=memory, work=work)
+    return run(lines, named_attack(method, **settings), device=device, memory=memory, work=work, name=method)
 
 
 def run(

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate
 from l2p.attacks.peak import PeakConfig
+from l2p.attacks.settings import TomographySettings
 from l2p.attacks.tomography.posterior import Posterior, mass_within, modes
 from l2p.attacks.tomography.reconstruct import LINE_BYTES, TomographyConfig, reconstruct
 from l2p.attacks.votes import equal_weights, peaks
@@ -21,7 +22,7 @@ from l2p.work.work import Work
 
 
 @dataclass(frozen=True)
-class TomographicConfig:
+class TomographicConfig(TomographySettings):
     """Settings of the tomographic attack.
 
     Attributes
@@ -38,7 +39,6 @@ class TomographicConfig:
 
     tomography: TomographyConfig = field(default_factory=TomographyConfig)
     nearest: int = 12
-    rounds: int = 2
     peak: PeakConfig = PeakConfig()
 
     def __post_init__(self) -> None:
@@ -97,3 +97,8 @@ class Tomography(Attack):
     def settings(self) -> dict[str, Any]:
         """The configuration."""
         return asdict(self.config)
+
+
+def build(settings: TomographySettings) -> Tomography:
+    """The attack with these settings."""
+    return Tomography(TomographicConfig(**asdict(settings)))

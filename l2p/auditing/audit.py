@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ import torch
 from jaxtyping import Float, UInt8
 
 from l2p.attacks.run import recover
-from l2p.attacks.settings import DEFAULT_METHOD, SETTINGS
+from l2p.attacks.settings import DEFAULT_METHOD, owners_of
 from l2p.errors import InputError
 from l2p.judging.accuracy import Scores, errors, evaluate, spacing
 from l2p.judging.curves import COVERAGE, THRESHOLDS, Curves, measured, predicted
@@ -163,12 +162,12 @@ def audit(
     seed: int = 0,
     *,
     method: str = DEFAULT_METHOD,
-    checkpoint: str | PathLike[str] | None = None,
     metric: bool = False,
     device: str = "cpu",
     memory: float | None = None,
     progress: Progress = NO_PROGRESS,
     name: str = "map",
+    **settings: Any,
 ) -> Audit:
     """Tell what an attacker would get back of a map, if its line cloud were published.
 
@@ -180,8 +179,8 @@ def audit(
         Shares of the points to lift, in (0, 1]; :data:`FRACTIONS` when left out. Not with a line cloud.
     seed : int
         Of the liftings. No line cloud of the audit is kept: one that is published is lifted without a seed.
-    method, checkpoint, device, memory
-        As of :func:`l2p.recover`.
+    method, device, memory, **settings
+        As of :func:`l2p.recover`; the fraction of the points is known.
     metric : bool
         The scene is in metres.
     progress : Progress
@@ -208,7 +207,7 @@ def audit(
     >>> [len(trial) for trial in found.trials]
     [200, 100]
     """
-    settings = {"method": method, "checkpoint": checkpoint, "device": device, "memory": memory}
+    settings |= {"method": method, "device": device, "memory": memory}
     if isinstance(scene, LineCloud):
         if fractions is not None:
             raise InputError("got fractions for a line cloud; expected none, since it is attacked as it is")
@@ -270,9 +269,9 @@ def _audit_lines(lines: LineCloud, settings: dict[str, Any], metric: bool, progr
 
 
 def _attack(lines: LineCloud, fraction: float, settings: dict[str, Any], progress: Progress) -> Recovery:
-    """The attack, told the density if it asks for it; what only its own rounds need is let go."""
-    density = fraction if settings["method"] in SETTINGS["density"] else None
-    recovery = recover(lines, density=density, progress=progress, **settings)
+    """Recover, without neighbours and affinities; attacks with a setting ``fraction`` know the true one."""
+    known = {"fraction": fraction} if settings["method"] in owners_of("fraction") else {}
+    recovery = recover(lines, progress=progress, **known, **settings)
     return replace(recovery, neighbors=None, affinity=None)
 
 

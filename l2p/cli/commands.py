@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+from l2p.cli.flags import settings_of
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
 from l2p.cli.recover import recover as recover
 from l2p.errors import InputError
@@ -74,12 +75,12 @@ def audit(arguments: Namespace) -> None:
         arguments.fractions,
         arguments.seed,
         method=arguments.method,
-        checkpoint=arguments.checkpoint,
         metric=arguments.metric,
         device=arguments.device,
         memory=arguments.memory,
         progress=terminal_progress(),
         name=_shown(arguments.scene),
+        **settings_of(arguments),
     )
     command = _audit_command(arguments, lines_given)
     with figures_file(arguments, figures_of(found, command)):
@@ -172,9 +173,9 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
         words += ["--fractions", *(f"{share:.15g}" for share in arguments.fractions)]
     words += [] if lines_given else ["--seed", str(arguments.seed)]
     words += ["--method", arguments.method]
-    for flag in ("checkpoint", "device", "threads", "memory"):
-        value = getattr(arguments, flag)
-        words += [] if value is None else [f"--{flag}", str(value)]
+    flags = {**settings_of(arguments), **{name: getattr(arguments, name) for name in ("device", "threads", "memory")}}
+    for name, value in flags.items():
+        words += [] if value is None else [f"--{name.replace('_', '-')}", str(value)]
     words += ["--metric"] if arguments.metric else []
     return _shown(shlex.join(words))
 

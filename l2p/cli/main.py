@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from l2p.attacks.settings import DEFAULT_METHOD, METHODS, SCENE_KINDS
+from l2p.cli.flags import add_method
 from l2p.errors import InputError, LostProcessError, sentence
 from l2p.schemes.scheme import DEFAULT_SCHEME, SCHEMES
 from l2p.show.page import MOST_POINTS
@@ -113,28 +113,7 @@ def _add_recover(commands: Any) -> None:
         required=True,
         help="OUT.npz (every line, in order), OUT.ply (with confidence), or a folder for a COLMAP model",
     )
-    recover.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help="the attack (default: %(default)s)")
-    recover.add_argument(
-        "--checkpoint",
-        metavar="FILE",
-        help="learned only: weights that python -m train wrote (default: those installed with l2p)",
-    )
-    recover.add_argument(
-        "--scene-kind", choices=SCENE_KINDS, help="heuristic only: neighbour counts to use (default: indoor)"
-    )
-    recover.add_argument(
-        "--density",
-        type=float,
-        metavar="F",
-        help="learned and heuristic: share of the scene's points that the lines hold, in (0, 1] (default: 1); the "
-        "heuristic chooses its neighbour counts by it, learned the distance that its confidence is about",
-    )
-    recover.add_argument(
-        "--rounds",
-        type=int,
-        metavar="R",
-        help="rounds of refinement (default: the method's own, which is the most that learned has)",
-    )
+    add_method(recover)
     _add_filters(recover)
     recover.add_argument("--model", metavar="MODEL", help="for a COLMAP model: the model that was lifted")
     recover.add_argument(
@@ -142,7 +121,10 @@ def _add_recover(commands: Any) -> None:
     )
     recover.add_argument("--device", default="cpu", help="torch device (default: %(default)s)")
     recover.add_argument(
-        "--seed", type=_seed, metavar="S", help="kept with the result; no method of today draws random numbers"
+        "--seed",
+        type=_seed,
+        metavar="S",
+        help="recorded with the result; no attack draws random numbers",
     )
     recover.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
     recover.add_argument(
@@ -154,7 +136,7 @@ def _add_recover(commands: Any) -> None:
     recover.add_argument(
         "--resume",
         action="store_true",
-        help="go on from the last finished round of a run that was ended, which OUT.state has; without one, begin",
+        help="continue an interrupted run from OUT.state, if there is one",
     )
     _add_memory(recover)
     _add_json(recover, "STATS", "settings, seconds and confidences")
@@ -204,10 +186,7 @@ def _add_audit(commands: Any) -> None:
     audit.add_argument(
         "--seed", type=_seed, default=0, metavar="S", help="seed of the line clouds (default: %(default)s)"
     )
-    audit.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help="the attack (default: %(default)s)")
-    audit.add_argument(
-        "--checkpoint", metavar="FILE", help="learned only: other weights (default: those installed with l2p)"
-    )
+    add_method(audit, leave_out=("fraction",))
     audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
     audit.add_argument(
         "--max-view-points",

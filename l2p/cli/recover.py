@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Int
 
+from l2p.cli.flags import settings_of
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
 from l2p.errors import InputError
 from l2p.io.colmap import check_ids, check_model_output, save_recovered_model
@@ -148,15 +149,9 @@ def _model_output(arguments: Namespace) -> bool:
 
 def _attack(arguments: Namespace) -> Attack:
     """The attack that was asked for."""
-    from l2p.attacks.run import named_attack
+    from l2p.attacks.named import named_attack
 
-    return named_attack(
-        arguments.method,
-        checkpoint=arguments.checkpoint,
-        rounds=arguments.rounds,
-        scene_kind=arguments.scene_kind,
-        density=arguments.density,
-    )
+    return named_attack(arguments.method, **settings_of(arguments))
 
 
 def _recover_inputs(arguments: Namespace) -> tuple[LineCloud, Int[np.ndarray, " lines"] | None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -50,7 +51,7 @@ class Loaded:
     digest: str
 
 
-def scenes_of(entries: tuple[str, ...], kinds: dict[str, str]) -> tuple[SceneSource, ...]:
+def scenes_of(entries: Sequence[str], kinds: dict[str, str]) -> tuple[SceneSource, ...]:
     """List the scenes of the entries; ``kinds``, by name of the scene, take precedence over SOURCES.md.
 
     Raises

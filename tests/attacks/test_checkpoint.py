@@ -62,8 +62,8 @@ def test_what_is_read_may_be_written_again(file: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("rounds", [0, 1, 2])
 def test_fewer_rounds_may_be_run(file: Path, rounds: int) -> None:
-    learned = checkpoint.load(file, rounds=rounds, density=0.5)
-    assert learned.config == replace(CONFIG, rounds=rounds) and learned.density == 0.5
+    learned = checkpoint.load(file, rounds=rounds, fraction=0.5)
+    assert learned.config == replace(CONFIG, rounds=rounds) and learned.fraction == 0.5
     assert learned.settings()["rounds"] == rounds
 
 

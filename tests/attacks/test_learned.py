@@ -246,8 +246,8 @@ def test_settings_out_of_range_are_refused(values: dict[str, int]) -> None:
 
 def test_a_thinner_line_cloud_is_less_sure_about_the_map(lines: LineCloud, first: Recovery) -> None:
     last = first.confidence
-    for density in (0.5, 0.1, 0.02):
-        recovery = run(lines, attack(density=density))
+    for fraction in (0.5, 0.1, 0.02):
+        recovery = run(lines, attack(fraction=fraction))
         np.testing.assert_array_equal(recovery.xyz, first.xyz)
         assert (recovery.confidence < last).all()
         last = recovery.confidence

@@ -134,7 +134,7 @@ def test_all_votes_in_one_place_are_more_sure_than_scattered_ones(clusters):
     ],
 )
 def test_neighbour_counts_are_those_of_the_paper(kind, density, coarse, fine):
-    config = HeuristicConfig(scene_kind=kind, density=density)
+    config = HeuristicConfig(scene_kind=kind, fraction=density)
     assert (config.coarse, config.fine) == (coarse, fine)
     settings = Heuristic(config).settings()
     assert (settings["coarse"], settings["fine"], settings["rounds"]) == (coarse, fine, 3)
@@ -144,8 +144,8 @@ def test_neighbour_counts_are_those_of_the_paper(kind, density, coarse, fine):
     ("setting", "message"),
     [
         ({"scene_kind": "urban"}, "got scene kind 'urban'; expected one of indoor, outdoor"),
-        ({"density": 0.0}, r"got density 0.0; expected a number in \(0, 1\]"),
-        ({"density": 1.5}, r"got density 1.5; expected a number in \(0, 1\]"),
+        ({"fraction": 0.0}, r"got fraction 0; expected a number in \(0, 1\]"),
+        ({"fraction": 1.5}, r"got fraction 1.5; expected a number in \(0, 1\]"),
         ({"rounds": -1}, "got -1 rounds; expected 0"),
     ],
 )

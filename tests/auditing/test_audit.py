@@ -48,9 +48,9 @@ def test_lines_are_those_of_the_seed_and_scores_those_of_the_true_points(scene, 
         assert trial.scores == l2p.evaluate(trial.recovery, scene.xyz[index], l2p.judging.accuracy.spacing(scene.xyz))
 
 
-def test_the_attack_is_told_the_density(found):
+def test_the_attack_knows_the_fraction(found):
     for trial in found.trials:
-        assert trial.recovery.info["settings"]["density"] == trial.fraction
+        assert trial.recovery.info["settings"]["fraction"] == trial.fraction
 
 
 def test_points_alone_give_the_same_figures(scene):

@@ -170,11 +170,11 @@ def test_a_colmap_model_comes_back_with_its_points_moved(tmp_path, model):
 
 def test_a_checkpoint_of_ones_own_is_used_and_named(tmp_path, lifted, tiny_checkpoint, capsys):
     out, stats = tmp_path / "out.npz", tmp_path / "stats.json"
-    words = ("--checkpoint", tiny_checkpoint, "--rounds", 1, "--density", 0.5)
+    words = ("--checkpoint", tiny_checkpoint, "--rounds", 1, "--fraction", 0.5)
     assert run("recover", lifted[0], "-o", out, *words, "--json", stats) == 0
     settings = json.loads(stats.read_text())["settings"]
     assert settings["checkpoint"] == "tiny.safetensors"
-    assert (settings["rounds"], settings["density"], settings["candidates"]) == (1, 0.5, 16)
+    assert (settings["rounds"], settings["fraction"], settings["candidates"]) == (1, 0.5, 16)
     capsys.readouterr()
     assert run("info", out) == 0
     assert f"tiny.safetensors ({settings['digest']})" in capsys.readouterr().out
@@ -277,7 +277,7 @@ def test_commands_load_only_what_they_use(scene):
 def test_every_flag_with_a_default_says_so(capsys):
     for command, flags in {
         "lift": ["--fraction", "--scheme"],
-        "recover": ["--method", "--checkpoint", "--device", "--density", "--rounds"],
+        "recover": ["--method", "--checkpoint", "--device", "--fraction", "--rounds"],
     }.items():
         with pytest.raises(SystemExit):
             main([command, "--help"])

@@ -177,7 +177,7 @@ def test_the_learned_attack_is_run_and_scored(tmp_path: Path, tiny_checkpoint: P
     assert float(rows[1]["neighbors_used"]) == 16, "all candidates, each weighted by its affinity"
     record = json.loads((tmp_path / "predictions" / "sim-room-120-0_50_0_tiny.json").read_text())
     settings = record["info"]["settings"]
-    assert (settings["checkpoint"], settings["rounds"], settings["density"]) == ("tiny.safetensors", 1, 0.5)
+    assert (settings["checkpoint"], settings["rounds"], settings["fraction"]) == ("tiny.safetensors", 1, 0.5)
 
 
 def test_predictions_of_other_weights_are_not_mixed_in(tmp_path: Path, tiny_checkpoint: Path) -> None:
@@ -193,7 +193,7 @@ def test_predictions_of_other_weights_are_not_mixed_in(tmp_path: Path, tiny_chec
     assert "digest" not in identity_of(contender_of({"name": "tomography"}), "cloud")
 
 
-def test_the_learned_attack_is_told_the_density_and_nothing_of_the_truth(
+def test_the_learned_attack_knows_the_fraction_and_nothing_of_the_truth(
     tiny_checkpoint: Path, scene_points: np.ndarray
 ) -> None:
     hidden = l2p.hide(scene_points, 0, 0.25)
@@ -203,7 +203,7 @@ def test_the_learned_attack_is_told_the_density_and_nothing_of_the_truth(
         contender.recover(Trial("key", lines, truth, kind, 0.25, 0, "cpu"))
         for truth, kind in ((scene_points[index], "indoor"), (np.zeros((len(lines), 3)), "outdoor"))
     ]
-    expected = l2p.recover(lines, checkpoint=tiny_checkpoint, density=0.25)
+    expected = l2p.recover(lines, checkpoint=tiny_checkpoint, fraction=0.25)
     for recovery in found:
         np.testing.assert_array_equal(recovery.xyz, expected.xyz)
         np.testing.assert_array_equal(recovery.confidence, expected.confidence)
@@ -268,7 +268,7 @@ def test_a_calibration_is_that_of_recoveries_that_claim_a_probability(tmp_path: 
         "raised": f"{call}, arguments: {{says: false}}, calibrated: true",
         "lowered": f"{call}, arguments: {{says: true}}, calibrated: false",
         "tiny": f"name: learned, checkpoint: {tiny_checkpoint}",
-        "heuristic with sparse counts": "name: heuristic, density: 0.05",
+        "heuristic with sparse counts": "name: heuristic, fraction: 0.05",
         "bound": "name: loo",
     }
     methods = ", ".join(f"{{{entry}, label: {label}}}" for label, entry in claims.items())

@@ -165,7 +165,7 @@ def test_targets_need_their_references() -> None:
 
 
 def test_references_are_the_methods_of_the_paper_and_the_bound() -> None:
-    methods = [{"name": "heuristic", "density": 0.05, "label": "other counts"}, {"name": "tomography"}]
+    methods = [{"name": "heuristic", "fraction": 0.05, "label": "other counts"}, {"name": "tomography"}]
     assert References.of(contenders_of(methods)) == References(None, None, frozenset())
     methods += [{"name": "heuristic", "label": "paper"}, {"name": "loo"}, {"name": "oracle"}]
     assert References.of(contenders_of(methods)) == References("paper", "LOO", frozenset({"LOO", "oracle 50"}))

@@ -29,11 +29,11 @@ from train.train_config import DataSettings
 
 DATA = DataSettings(
     seed=0,
-    scenes=(),
+    scenes=[],
     simulated=3,
-    simulated_points=(120, 200),
-    val=("sim:room:150:1",),
-    val_fractions=(1.0, 0.5),
+    simulated_points=[120, 200],
+    val=["sim:room:150:1"],
+    val_fractions=[1.0, 0.5],
     min_lines=40,
     max_lines=150,
 )
@@ -84,7 +84,7 @@ def test_scenes_come_in_turns_in_another_order_each_time(sources: Sources) -> No
 
 
 def test_lines_of_thinned_clouds_are_spread_evenly_over_all_sizes() -> None:
-    sources = Sources.of(replace(DATA, simulated=8, simulated_points=(100, 9000), max_lines=1000, min_lines=120))
+    sources = Sources.of(replace(DATA, simulated=8, simulated_points=[100, 9000], max_lines=1000, min_lines=120))
     lines, points = np.array([lines_of(sources, number) for number in range(1600)]).T
     most = np.minimum(points, 1000)
     assert (np.minimum(most, 120) <= lines).all() and (lines <= most).all()
@@ -107,7 +107,7 @@ def folder(tmp_path: Path, scene_points: np.ndarray) -> Path:
 def test_held_back_scenes_are_never_trained_on(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However they are named."""
     monkeypatch.chdir(folder)
-    data = replace(DATA, scenes=(str(folder), "sim:room:150:1"), val=("cup.npz", "sim:room:150:1"), simulated=1)
+    data = replace(DATA, scenes=[str(folder), "sim:room:150:1"], val=["cup.npz", "sim:room:150:1"], simulated=1)
     sources = Sources.of(data)
     trained = {sources[number].scene for number in range(20)}
     assert {Path(scene).name for scene in trained if "sim:" not in scene} == {"bell.npz", "wood.npz"}
@@ -117,11 +117,11 @@ def test_held_back_scenes_are_never_trained_on(folder: Path, monkeypatch: pytest
 
 def test_scenes_that_are_all_held_back_are_refused(folder: Path) -> None:
     with pytest.raises(InputError, match="got 3 val scenes, and no others to train on"):
-        Sources.of(replace(DATA, scenes=(str(folder),), val=(str(folder),), simulated=0))
+        Sources.of(replace(DATA, scenes=[str(folder)], val=[str(folder)], simulated=0))
 
 
 def test_held_back_clouds_are_cut_to_the_most_lines() -> None:
-    data = replace(DATA, val=("sim:room:150:1", "sim:object:400:1"), val_fractions=(1.0, 0.9, 0.1))
+    data = replace(DATA, val=["sim:room:150:1", "sim:object:400:1"], val_fractions=[1.0, 0.9, 0.1])
     found = [(source.name, source.fraction, source.seed) for source in validation_sources(data)]
     assert found == [(name, fraction, 0) for name, fraction in [
         ("sim:room:150:1", 1.0), ("sim:room:150:1", 0.9), ("sim:room:150:1", 0.1),

@@ -14,7 +14,8 @@ import torch
 
 import l2p
 from l2p.attacks.attack import Attack, Elements, Estimate, locate
-from l2p.attacks.run import named_attack, run
+from l2p.attacks.named import named_attack
+from l2p.attacks.run import run
 from l2p.attacks.settings import METHODS
 from l2p.cli.main import main
 from l2p.errors import InputError

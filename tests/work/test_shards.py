@@ -34,7 +34,7 @@ Found = TypeVar("Found")
 METHODS: dict[str, Callable[[], Attack]] = {
     "learned": lambda: learned(rounds=2),
     "learned, no rounds": lambda: learned(rounds=0),
-    "learned, of a tenth": lambda: learned(rounds=1, density=0.1),
+    "learned, of a tenth": lambda: learned(rounds=1, fraction=0.1),
     "tomography": Tomography,
     "heuristic": lambda: Heuristic(HeuristicConfig(rounds=2)),
 }

@@ -24,6 +24,8 @@ from l2p.attacks.learned.inputs import inputs_of
 from l2p.attacks.learned.inputs.family import Inputs
 from l2p.attacks.learned.learned import Learned, LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
+from l2p.attacks.settings import LearnedSettings
+from l2p.checks import check_fraction
 from l2p.errors import InputError
 
 #: Number of the file's layout; a reader refuses those that it does not know.
@@ -110,7 +112,7 @@ def save(path: str | PathLike[str], checkpoint: Checkpoint, *, overwrite: bool =
         file.write(encoded(tensors, metadata))
 
 
-def load(path: str | PathLike[str], *, rounds: int | None = None, density: float = 1.0) -> Learned:
+def load(path: str | PathLike[str], *, rounds: int | None = None, fraction: float = 1.0) -> Learned:
     """The attack of a checkpoint file.
 
     Parameters
@@ -118,7 +120,7 @@ def load(path: str | PathLike[str], *, rounds: int | None = None, density: float
     path : path
     rounds : int, optional
         Fewer rounds than it was trained for.
-    density : float
+    fraction : float
         Share of the map's points that the line cloud holds, in (0, 1] (:class:`l2p.attacks.learned.learned.Learned`).
 
     Raises
@@ -127,10 +129,9 @@ def load(path: str | PathLike[str], *, rounds: int | None = None, density: float
         If there is no such file.
     InputError
         If it is no checkpoint of l2p, is damaged, was written by a newer version, or knows fewer rounds, or if the
-        density is out of range.
+        fraction is out of range.
     """
-    if not 0 < density <= 1:
-        raise InputError(f"got density {density}; expected a number in (0, 1]")
+    check_fraction(fraction)
     checkpoint = read(path)
     config = checkpoint.config
     if rounds is not None:
@@ -138,7 +139,13 @@ def load(path: str | PathLike[str], *, rounds: int | None = None, density: float
             raise InputError(f"got {rounds} rounds; expected 0 to {config.rounds}, those that {path} was trained for")
         config = replace(config, rounds=rounds)
     source = {"checkpoint": Path(path).name, "digest": digest(path)}
-    return Learned(checkpoint.network, config, checkpoint.calibration, density, checkpoint.inputs, source)
+    return Learned(checkpoint.network, config, checkpoint.calibration, fraction, checkpoint.inputs, source)
+
+
+def build(settings: LearnedSettings) -> Learned:
+    """The attack with these settings."""
+    file = shipped() if settings.checkpoint is None else settings.checkpoint
+    return load(file, rounds=settings.rounds, fraction=settings.fraction)
 
 
 def read(path: str | PathLike[str]) -> Checkpoint:
@@ -230,4 +237,4 @@ def network_of(path: Path, size: NetworkConfig, tensors: dict[str, Tensor]) -> L
             raise InputError(f"{path} has weights that are NaN or infinite in {name}; it is damaged")
     network = LineTransformer(size)
     network.load_state_dict(tensors, strict=True)
-    return network
+    return network.eval()

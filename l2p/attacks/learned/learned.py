@@ -119,7 +119,7 @@ class Learned(Attack):
     calibration : sequence of sequences of (a, b), optional
         For each round and radius: sigmoid(a found + b) is the probability that a point is within that radius. The
         confidence passed from round to round is uncalibrated.
-    density : float
+    fraction : float
         Share of the map's points that the line cloud holds, as far as it is known. The confidence is that of lying
         within 1 spacing of the *map*, which is less than that of a thinned cloud.
     inputs : sequence of Inputs, optional
@@ -140,11 +140,11 @@ class Learned(Attack):
         network: LineTransformer,
         config: LearnedConfig | None = None,
         calibration: Sequence[Sequence[tuple[float, float]]] | None = None,
-        density: float = 1.0,
+        fraction: float = 1.0,
         inputs: Sequence[Inputs] | None = None,
         source: dict[str, str] | None = None,
     ) -> None:
-        self.network = network.eval()
+        self.network = network
         self.config = config or LearnedConfig()
         self.inputs = inputs_of(network.config.inputs) if inputs is None else tuple(inputs)
         self.calibration = calibration or [[(1.0, 0.0)] * len(network.config.radii)] * self.config.rounds
@@ -152,7 +152,7 @@ class Learned(Attack):
             raise InputError(
                 f"got {len(self.calibration)} calibrations for {self.config.rounds} rounds; expected as many"
             )
-        self.density, self.source = density, source or {}
+        self.fraction, self.source = fraction, source or {}
         # The last round is part of ``finish``: nothing follows from its estimates.
         self.rounds = max(0, self.config.rounds - 1)
         self.columns = {"beta": (), "confidence": (), "state": (network.config.state,)}
@@ -161,7 +161,7 @@ class Learned(Attack):
 
     def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> State:
         """Reconstruct the posterior; the first estimates are its modes."""
-        self.network.to(elements.row.device)
+        self.network.eval().to(elements.row.device)
         posterior = reconstruct(elements.lines, self.config.tomography, work)
         if saved is None:
             return State(elements, posterior, self.first_nodes(elements.lines, posterior, work))
@@ -187,11 +187,11 @@ class Learned(Attack):
         return Estimate(nodes.beta[own], nodes.confidence[own], candidates, affinity)
 
     def settings(self) -> dict[str, Any]:
-        """Rounds, candidates, size of the network, density, and the file of the weights."""
+        """Rounds, candidates, size of the network, fraction, and the file of the weights."""
         return {
             **asdict(self.config),
             "network": asdict(self.network.config),
-            "density": self.density,
+            "fraction": self.fraction,
             **self.source,
         }
 
@@ -262,7 +262,7 @@ class Learned(Attack):
         """Calibrated probability that each point of the last round lies within 1 spacing of the map."""
         calibration = result.found.new_tensor(self.calibration[self.config.rounds - 1])
         logit = (calibration[:, 0] * result.found + calibration[:, 1]).cummax(dim=1).values
-        log_radius = math.log(spacing_ratio(self.density, self.config.dimension))
+        log_radius = math.log(spacing_ratio(self.fraction, self.config.dimension))
         return torch.sigmoid(_between(logit, self.network.config.radii, log_radius))
 
 
@@ -288,13 +288,13 @@ def weighted_peak(judgement: Judgement, config: LearnedConfig) -> Float[Tensor, 
     return settled(peak, place, weight, spread, config.settling).nan_to_num(nan=0.0)
 
 
-def spacing_ratio(density: float, dimension: float = LearnedConfig.dimension) -> float:
-    """Spacing of a map over that of the share ``density`` of its points: density ** (1 / dimension).
+def spacing_ratio(fraction: float, dimension: float = LearnedConfig.dimension) -> float:
+    """Spacing of a map over that of a ``fraction`` of its points: fraction ** (1 / dimension).
 
     Estimates do not show it well: at 10 % and 5 % of five training scenes theirs gave four fifths of the ratio, since
     they scatter. The usual dimension of maps does better (``benchmarks/spacing_ratio.py``).
     """
-    return density ** (1 / dimension)
+    return fraction ** (1 / dimension)
 
 
 def _between(logit: Float[Tensor, "lines radii"], radii: Sequence[float], log_radius: float) -> Float[Tensor, " lines"]:

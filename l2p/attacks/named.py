@@ -1,0 +1,73 @@
+"""From a name and settings to an attack."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from l2p.attacks.attack import Attack
+from l2p.attacks.settings import ATTACKS, METHODS, owners_of
+from l2p.errors import InputError
+
+
+def named_attack(name: str, **settings: Any) -> Attack:
+    """Build an attack: one of l2p by its name, or a user's own by ``package.module:Attack``.
+
+    Parameters
+    ----------
+    name : str
+    settings
+        Of the attack (:mod:`l2p.attacks.settings`), or of the user's class; None stands for the default.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such checkpoint.
+    InputError
+        If the name is unknown, the attack has no such setting, or a setting is out of range.
+    """
+    given = {key: value for key, value in settings.items() if value is not None}
+    if ":" in name:
+        return _users_own(name, given)
+    if name not in ATTACKS:
+        raise InputError(f"got method {name!r}; expected one of {', '.join(METHODS)}, or package.module:Attack")
+    row = ATTACKS[name]
+    for key in given:
+        if key not in row.names:
+            owners = " or ".join(map(repr, owners_of(key)))
+            expected = f"it with method {owners} only" if owners else f"some of {', '.join(row.names)}"
+            raise InputError(f"got a {key.replace('_', ' ')} for method {name!r}; expected {expected}")
+    return imported(row.build)(row.settings(**given))
+
+
+def imported(path: str) -> Callable[..., Any]:
+    """The callable at ``package.module:callable``; modules in the working folder are found.
+
+    Raises
+    ------
+    InputError
+        If it cannot be imported or is no callable.
+    """
+    module, _, name = path.partition(":")
+    if str(Path.cwd()) not in sys.path and "" not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
+    try:
+        target = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(f"got path {path!r}; expected package.module:callable, but {error}") from error
+    if not callable(target):
+        raise InputError(f"got path {path!r}, which is a {type(target).__name__}; expected a callable")
+    return target
+
+
+def _users_own(path: str, settings: dict[str, Any]) -> Attack:
+    try:
+        attack = imported(path)(**settings)
+    except TypeError as error:
+        raise InputError(f"got settings {settings} for {path}: {error}") from error
+    if not isinstance(attack, Attack):
+        raise InputError(f"got path {path!r}, which gives a {type(attack).__name__}; expected an Attack")
+    return attack

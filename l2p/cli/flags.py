@@ -1,0 +1,43 @@
+"""Flags of the attacks' settings, made from where these are declared (:mod:`l2p.attacks.settings`)."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import fields
+from typing import Any
+
+from l2p.attacks.settings import ATTACKS, DEFAULT_METHOD, METHODS, owners_of, setting_names
+
+#: Types of flags by the annotation of their setting.
+_TYPES = {"str": str, "int": int, "float": float}
+
+
+def add_method(command: argparse.ArgumentParser, leave_out: tuple[str, ...] = ()) -> None:
+    """Add ``--method``, and a flag for each setting of an attack but those left out."""
+    command.add_argument(
+        "--method",
+        metavar="NAME",
+        default=DEFAULT_METHOD,
+        help=f"the attack: {', '.join(METHODS)}, or your own, package.module:Attack (default: %(default)s)",
+    )
+    for name in setting_names():
+        if name not in leave_out:
+            _add_setting(command, name)
+
+
+def settings_of(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The settings that were given."""
+    values = {name: getattr(arguments, name, None) for name in setting_names()}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _add_setting(command: argparse.ArgumentParser, name: str) -> None:
+    owners = owners_of(name)
+    declared = [next(entry for entry in fields(ATTACKS[owner].settings) if entry.name == name) for owner in owners]
+    texts = [
+        f"{owner}: {entry.metadata['help']} (default: {entry.metadata['shown']})"
+        for owner, entry in zip(owners, declared, strict=True)
+    ]
+    kind = _TYPES[str(declared[0].type).removesuffix(" | None")]
+    flag = declared[0].metadata["flag"]
+    command.add_argument(f"--{name.replace('_', '-')}", type=kind, help="; ".join(texts), **flag)
