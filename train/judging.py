@@ -28,6 +28,7 @@ class Judged:
 @torch.inference_mode()
 def rounds_of(cloud: Cloud, attack: Learned) -> list[Judged]:
     """Judge a cloud in every round."""
+    attack.network.eval()
     state, judged = cloud.state(), []
     for number in range(attack.config.rounds):
         result = attack.judge(state)

@@ -140,7 +140,6 @@ class NetworkModule(lightning.LightningModule):
         """All rounds of the averaged network on a held-back cloud; each cloud counts the same."""
         figures = torch.zeros(len(_FIGURES))
         if batch < len(self.held_back):
-            self.average.eval()
             error = rounds_of(lifted(self.held_back[batch], self.attack, self.device), self.attack)[-1].error
             # Capped, so that a network that finds a place twice in the same scene is not infinitely good.
             score = error.median().clamp_min(1e-3).log()

@@ -113,7 +113,7 @@ def test_a_run_leaves_a_model_its_log_and_its_facts(trained: Path) -> None:
 
 def test_figures_are_those_of_the_losses_and_of_the_validations(trained: Path) -> None:
     found = figures(trained)
-    parts = ("rate", "affinity", "position", "sure", "probe", "median", "within")
+    parts = ("rate", "affinity", "position", "found", "probe", "median", "within")
     assert {name for _, name in found} == {
         *(f"train/{part}" for part in parts),
         *("val/score", "val/median", "val/within"),
@@ -262,7 +262,6 @@ def test_unknown_keys_and_other_types_are_errors(override: str) -> None:
         ("network.heads=0", "got width 8 and 0 heads"),
         ("learned.rounds=0", "got 0 learned.rounds; expected at least 1"),
         ("learned.candidates=0", "got candidates 0 of the learned attack; expected at least 1"),
-        ("learned.peak.rule=none", "got peak rule 'none'"),
     ],
 )
 def test_values_out_of_range_are_refused(override: str, message: str) -> None:
