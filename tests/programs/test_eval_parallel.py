@@ -28,6 +28,7 @@ from eval.parallel import Failure, outcomes
 from l2p.errors import InputError
 from l2p.programs.scenes import scenes_of
 
+ROOT = Path(__file__).parents[2]
 #: A user's method that notes every call: a file with the process, named by the line cloud. After some calls it hangs,
 #: and may interrupt the run first.
 PLUGIN = """
@@ -129,7 +130,7 @@ def test_processes_give_the_figures_of_one(tmp_path: Path) -> None:
 def test_nothing_is_computed_twice_after_a_kill(tmp_path: Path, plugin: Path) -> None:
     arguments = [*TINY[:1], "fractions=[1.0]", "threads=1", SEEDS, method(after=3)]
     command = [sys.executable, "-m", "eval", *arguments, f"run={tmp_path / 'run'}", "processes=2"]
-    with subprocess.Popen(command, cwd=CONFIGS.parent, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         wait_for(lambda: len(list(plugin.glob("hung-*"))) == 2)
         process.kill()
     workers = {int(path.read_text()) for path in (plugin / "calls").iterdir()}
