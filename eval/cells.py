@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from eval.capacity import measured_peak
 from eval.contenders import Contender, Trial, identity_of
 from eval.eval_config import Settings
 from l2p.errors import InputError
@@ -27,6 +26,7 @@ from l2p.maps.recovery import Recovery
 from l2p.programs.commits import commit, source_digest
 from l2p.programs.scenes import Loaded, SceneSource, load
 from l2p.schemes.uniform import lift_indexed
+from l2p.work.resident import measured_peak
 
 
 @dataclass(frozen=True)
