@@ -115,7 +115,7 @@ class Heuristic:
 
     @property
     def line_bytes(self) -> float:
-        """What is held of each line (``benchmarks/memory.py``)."""
+        """What is held of each line (``benchmarks/recover.py``)."""
         return 1000 + 24 * self.config.coarse
 
     def settings(self) -> dict[str, Any]:

@@ -85,7 +85,7 @@ class Tomography:
 
     @property
     def line_bytes(self) -> float:
-        """What is held of each line (``benchmarks/memory.py``)."""
+        """What is held of each line (``benchmarks/recover.py``)."""
         return TOMOGRAPHY_BYTES
 
     def settings(self) -> dict[str, Any]:

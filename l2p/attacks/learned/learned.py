@@ -259,7 +259,7 @@ class Learned:
 
     @property
     def line_bytes(self) -> float:
-        """What is held of each line (``benchmarks/memory.py``)."""
+        """What is held of each line (``benchmarks/recover.py``)."""
         return max(TOMOGRAPHY_BYTES, 4000 + 40 * self.config.candidates)
 
     def settings(self) -> dict[str, Any]:
