@@ -59,12 +59,13 @@ def bare(count: int, k: int) -> None:
 
 def timed(work: Callable[[], Found], repeat: int, cpu: bool) -> tuple[float, Found]:
     """The median of the seconds, and an answer."""
-    clock, seconds = time.process_time if cpu else time.perf_counter, []
+    clock = time.process_time if cpu else time.perf_counter
+    runs = []
     for _ in range(repeat):
         began = clock()
         answer = work()
-        seconds.append(clock() - began)
-    return float(np.median(seconds)), answer
+        runs.append((clock() - began, answer))
+    return float(np.median([seconds for seconds, _ in runs])), runs[0][1]
 
 
 def row(given: argparse.Namespace, count: int, before: dict[int, float]) -> list[str]:
