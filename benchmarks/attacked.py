@@ -42,8 +42,8 @@ def read(job: dict[str, Any], clock: Clock) -> l2p.LineCloud:
     """The lines from plain arrays, which every checkout reads; if parts are asked for, from a file of l2p."""
     if job["parts"]:
         with clock.task("read and write", total=0):
-            return l2p.load(job["file"], l2p.LineCloud)
-    with np.load(job["arrays"]) as arrays:
+            return l2p.load(job["path"] + ".npz", l2p.LineCloud)
+    with np.load(job["path"] + ".arrays.npz") as arrays:
         return l2p.LineCloud(arrays["direction"], arrays["moment"])
 
 
@@ -61,10 +61,10 @@ def attack(lines: l2p.LineCloud, job: dict[str, Any], clock: Clock) -> l2p.Recov
 
 def save(found: l2p.Recovery, job: dict[str, Any], clock: Clock) -> None:
     """Write the points, and report the seconds of all parts."""
-    np.savez(job["found"], xyz=found.xyz, confidence=found.confidence, beta=found.beta)
+    np.savez(job["path"] + ".found.npz", xyz=found.xyz, confidence=found.confidence, beta=found.beta)
     if job["parts"]:
         with clock.task("read and write", total=0):
-            l2p.save(found, job["file"] + ".recovered.npz", overwrite=True)
+            l2p.save(found, job["path"] + ".recovered.npz", overwrite=True)
     answer(parts=clock.seconds)
 
 

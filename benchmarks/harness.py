@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -39,22 +39,14 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """A line cloud in a folder, and the points behind its lines if they are known."""
+    """A line cloud, and the points behind its lines if they are known.
 
-    name: str
-    folder: Path
+    ``path`` with ``.npz`` after it is its file, with ``.arrays.npz`` its numbers as plain arrays.
+    """
+
+    path: Path
     lines: l2p.LineCloud
     truth: Float[np.ndarray, "lines 3"] | None
-
-    @property
-    def file(self) -> Path:
-        """The lines as l2p writes them."""
-        return self.folder / f"{self.name}.npz"
-
-    @property
-    def arrays(self) -> Path:
-        """The lines as plain arrays."""
-        return self.folder / f"{self.name}.arrays.npz"
 
 
 @dataclass(frozen=True)
@@ -91,17 +83,6 @@ class Taken:
     run: Run = field(init=False)
 
 
-class Ratio(NamedTuple):
-    """The median of the ratios of pairs, and an interval that holds the true one with a probability of ``SURE``."""
-
-    median: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{self.median:.3f}" if self.low == self.high else f"{self.median:.3f} ({self.low:.3f}..{self.high:.3f})"
-
-
 def hidden(xyz: Float[np.ndarray, "points 3"]) -> tuple[l2p.LineCloud, Float[np.ndarray, "lines 3"]]:
     """The line cloud of some points, and the point behind each line; the same each time."""
     lines, index = l2p.lift_indexed(xyz, seed=0)
@@ -110,20 +91,19 @@ def hidden(xyz: Float[np.ndarray, "points 3"]) -> tuple[l2p.LineCloud, Float[np.
 
 def simulated(kind: str, count: int, folder: Path) -> Cloud:
     """The cloud of a simulated scene with so many points."""
-    lines, truth = hidden(l2p.simulate(kind, points=count, seed=0).xyz)
-    return _saved(Cloud(f"{kind}-{count}", folder, lines, truth))
+    return _saved(f"{kind}-{count}", folder, *hidden(l2p.simulate(kind, points=count, seed=0).xyz))
 
 
 def from_file(path: str, folder: Path) -> Cloud:
     """The line cloud of a file, or that of the scene in it."""
     thing = l2p.load(path)
-    lines, truth = (thing, None) if isinstance(thing, l2p.LineCloud) else hidden(thing.xyz)
-    return _saved(Cloud(Path(path).stem, folder, lines, truth))
+    return _saved(Path(path).stem, folder, *((thing, None) if isinstance(thing, l2p.LineCloud) else hidden(thing.xyz)))
 
 
-def _saved(cloud: Cloud) -> Cloud:
-    np.savez(cloud.arrays, direction=cloud.lines.direction, moment=cloud.lines.moment)
-    l2p.save(cloud.lines, cloud.file)
+def _saved(name: str, folder: Path, lines: l2p.LineCloud, truth: np.ndarray | None) -> Cloud:
+    cloud = Cloud(folder / name, lines, truth)
+    np.savez(f"{cloud.path}.arrays.npz", direction=lines.direction, moment=lines.moment)
+    l2p.save(lines, f"{cloud.path}.npz")
     return cloud
 
 
@@ -131,24 +111,17 @@ class Attacker:
     """A child process that attacks a cloud as often as it is asked to, until the ``with`` block ends."""
 
     def __init__(self, cloud: Cloud, setting: Setting) -> None:
-        given = {"method": setting.method, "rounds": setting.rounds, "memory": setting.memory}
-        self.found = cloud.folder / "found.npz"
-        self.checkout = setting.checkout
-        self.job: dict[str, Any] = {
-            "words": {name: value for name, value in given.items() if value is not None},
-            "threads": setting.threads,
-            "parts": setting.parts,
-            "arrays": str(cloud.arrays),
-            "file": str(cloud.file),
-            "found": str(self.found),
-        }
+        words = {"method": setting.method, "rounds": setting.rounds, "memory": setting.memory}
+        words = {name: value for name, value in words.items() if value is not None}
+        self.path, self.checkout = cloud.path, setting.checkout
+        self.job = {"words": words, "threads": setting.threads, "parts": setting.parts, "path": str(cloud.path)}
 
     def __enter__(self) -> Attacker:
         environment = {"OMP_WAIT_POLICY": "PASSIVE", **os.environ, "PYTHONPATH": str(self.checkout)}
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        self.job["began"] = time.time()
+        began = time.time()
         self.child = subprocess.Popen([sys.executable, str(CHILD)], env=environment, **pipes)
-        loaded = self._asked(json.dumps(self.job))["l2p"]
+        loaded = self._asked(json.dumps({**self.job, "began": began}))["l2p"]
         if not Path(loaded).is_relative_to(self.checkout):
             self.child.kill()
             raise SystemExit(f"the child loaded {loaded}; expected the l2p of {self.checkout}")
@@ -164,7 +137,7 @@ class Attacker:
             facts = self._asked()
             most = peak()
         facts |= self._asked()
-        with np.load(self.found) as arrays:
+        with np.load(f"{self.path}.found.npz") as arrays:
             recovery = l2p.Recovery(arrays["xyz"], arrays["confidence"], arrays["beta"])
         gib = float("nan") if before is None or most is None else most - before
         return Run(**facts, gib=gib, recovery=recovery)
@@ -209,8 +182,11 @@ def measured(cloud: Cloud, settings: Sequence[Setting], processes: int, again: i
     return taken
 
 
-def ratio(own: Iterable[float], other: Iterable[float]) -> Ratio:
-    """The ratio of paired figures; the ends of its interval are order statistics (sign test), at worst all pairs."""
+def ratio(own: Iterable[float], other: Iterable[float]) -> str:
+    """The median of the ratios of pairs, and an interval that holds the true one with probability ``SURE``.
+
+    Its ends are order statistics (sign test): of few pairs the least and the greatest.
+    """
     pairs = sorted(mine / theirs for mine, theirs in zip(own, other, strict=True))
     count, outside = len(pairs), 0
     while outside < (count - 1) // 2:
@@ -218,14 +194,17 @@ def ratio(own: Iterable[float], other: Iterable[float]) -> Ratio:
         if beyond > 1 - SURE:
             break
         outside += 1
-    return Ratio(float(np.median(pairs)), pairs[outside], pairs[-1 - outside])
+    interval = f" ({pairs[outside]:.3f}..{pairs[-1 - outside]:.3f})" if count > 1 else ""
+    return f"{np.median(pairs):.3f}{interval}"
 
 
 def print_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Print a table that can be pasted into a page: Markdown, numbers to the right."""
-    table = Table(title=title, title_justify="left", box=box.MARKDOWN)
+    """Print a table that can be pasted into a page (Markdown); on stderr also each row when it is there."""
+    table = Table(box=box.MARKDOWN)
     for number, head in enumerate(heads):
         table.add_column(head, justify="right" if number else "left", no_wrap=True)
     for row in rows:
+        print(*row, sep="\t", file=sys.stderr, flush=True)
         table.add_row(*row)
-    Console(width=WIDTH).print(table, markup=False)
+    print(title)
+    Console(width=WIDTH).print(table)

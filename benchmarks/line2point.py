@@ -79,22 +79,19 @@ def run_reference(folder: Path, cloud: Path) -> Row:
         sys.executable, "-u", PROGRAM, "--input_type", "ply", "--input_ply_fname", str(cloud),
         "--use_fraction_pts", "1.0", "--num_refine_iterations", str(ROUNDS),
     ]  # fmt: skip
-    median, began, cpu_began = None, None, _children_cpu()
-    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None and process.stderr is not None
-    started = time.perf_counter()
-    # Its progress bars would fill the pipe of stderr and stop it.
+    median, cpu_began = None, _children_cpu()
+    began = started = time.perf_counter()
+    # A pipe for its progress bars would fill and stop it.
     with tempfile.TemporaryFile("w+") as noise:
-        drain = subprocess.Popen(["cat"], stdin=process.stderr, stdout=noise)
-        for line in process.stdout:
+        process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=noise, text=True)
+        for line in process.stdout or ():
             print(f"{time.perf_counter() - started:8.1f} s  {line.rstrip()}", file=sys.stderr, flush=True)
             if line.startswith(BEGIN):
                 began = time.perf_counter()
             if found := re.match(r"Median error : (\S+)", line):
                 median = float(found[1])
         process.wait()
-        seconds = time.perf_counter() - (began or started)
-        drain.wait()
+        seconds = time.perf_counter() - began
         noise.seek(0)
         if process.returncode != 0 or median is None:
             raise SystemExit(f"{folder / PROGRAM} failed:\n{noise.read()[-2000:]}")

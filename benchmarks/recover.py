@@ -78,33 +78,34 @@ def errors(cloud: Cloud, run: Run) -> list[str]:
     return [f"{scores.median:.4f}", f"{scores.median_spacings:.3f}", f"{scores.within_spacings['1']:.1%}"]
 
 
-def measure(given: argparse.Namespace, folder: Path) -> bool:
-    """Print a row for each cloud, bound and method; returns whether all kept to their memory."""
-    rows, first, kept = [], dict[tuple[str, str | None], float](), True
-    for cloud in clouds(given, folder):
-        for memory in given.memory or [None]:
-            settings = [setting(method, memory, len(cloud.lines), given) for method in given.methods]
-            found = measured(cloud, settings, given.repeat, given.again or 0)
-            for way, taken in zip(settings, found, strict=True):
-                growth = np.median(taken.seconds) / first.setdefault((way.method, memory), np.median(taken.seconds))
-                over = ratio(taken.seconds, found[0].seconds)
-                rows.append(
-                    [*seconds_cells(cloud, way, taken), f"{growth:.1f}", str(over), *memory_cells(cloud, way, taken)]
-                )
-                rows[-1] += errors(cloud, taken.run)
-                kept &= way.memory is None or not any(gib > way.memory for gib in taken.gib)
-    print_table(titled(given), HEADS, rows)
-    return kept
+def rows(given: argparse.Namespace, folder: Path, above: list[str]) -> Iterator[list[str]]:
+    """A row for each cloud, bound and method; those that took more memory than allowed are added to ``above``."""
+    first = dict[tuple[str, str | None], float]()
+    for cloud, memory in ((cloud, memory) for cloud in clouds(given, folder) for memory in given.memory):
+        settings = [setting(method, memory, len(cloud.lines), given) for method in given.methods]
+        found = measured(cloud, settings, given.repeat, given.again)
+        for way, taken in zip(settings, found, strict=True):
+            seconds = float(np.median(taken.seconds))
+            over = [f"{seconds / first.setdefault((way.method, memory), seconds):.1f}"]
+            over.append(ratio(taken.seconds, found[0].seconds))
+            if way.memory is not None and max(taken.gib) > way.memory:
+                above.append(f"{way.method}, {len(cloud.lines):,} lines")
+            yield [
+                *seconds_cells(cloud, taken, way),
+                *over,
+                *memory_cells(cloud, taken, way),
+                *errors(cloud, taken.run),
+            ]
 
 
-def seconds_cells(cloud: Cloud, way: Setting, taken: Taken) -> list[str]:
+def seconds_cells(cloud: Cloud, taken: Taken, way: Setting) -> list[str]:
     """Cells of method, size, threads and seconds."""
     lines, seconds = len(cloud.lines), float(np.median(taken.seconds))
     cells = [way.method, f"{lines:,}", str(taken.run.threads), f"{seconds:.2f}"]
     return [*cells, f"{1e3 * seconds / lines:.3f}", f"{np.median(taken.cpu):.2f}"]
 
 
-def memory_cells(cloud: Cloud, way: Setting, taken: Taken) -> list[str]:
+def memory_cells(cloud: Cloud, taken: Taken, way: Setting) -> list[str]:
     """Cells of the memory that was allowed, taken, promised and held per line."""
     gib, least = float(np.median(taken.gib)), promised(way.method, way.rounds, len(cloud.lines))
     held = max(0.0, (gib * GIB - BASE - SMALLEST) / len(cloud.lines))
@@ -114,12 +115,11 @@ def memory_cells(cloud: Cloud, way: Setting, taken: Taken) -> list[str]:
 
 def show_parts(given: argparse.Namespace, folder: Path) -> None:
     """Print a table of seconds by part for each method, with a column a size."""
-    memory = given.memory[0] if given.memory else None
     found: dict[str, dict[int, Run]] = {method: {} for method in given.methods}
     for cloud in clouds(given, folder):
         size = len(cloud.lines)
         for method in given.methods:
-            found[method][size] = measured(cloud, [setting(method, memory, size, given)], 1)[0].run
+            found[method][size] = measured(cloud, [setting(method, given.memory[0], size, given)], 1)[0].run
     for method, runs in found.items():
         parts = dict.fromkeys(part for run in runs.values() for part in run.parts)
         rows = [[part, *(f"{run.parts.get(part, 0):.1f}" for run in runs.values())] for part in parts]
@@ -130,17 +130,12 @@ def show_parts(given: argparse.Namespace, folder: Path) -> None:
         print_table(f"{method}, {titled(given)}", ["seconds", *(f"{size:,} lines" for size in runs)], rows)
 
 
-def compare(given: argparse.Namespace, folder: Path) -> None:
-    """Print a row for each cloud and method: this checkout over another, by turns."""
-    rows, again = [], AGAIN if given.again is None else given.again
-    for cloud in clouds(given, folder):
-        for method in given.methods:
-            own = setting(method, None, len(cloud.lines), given)
-            other = replace(own, checkout=given.against.resolve())
-            rows.append(
-                [method, f"{len(cloud.lines):,}", *compared(*measured(cloud, [own, other], given.repeat, again))]
-            )
-    print_table(f"{titled(given)}, {again} attack(s) more in each, this over {given.against}", HEADS_AGAINST, rows)
+def rows_against(given: argparse.Namespace, folder: Path) -> Iterator[list[str]]:
+    """A row for each cloud and method: this checkout over another, by turns."""
+    for cloud, method in ((cloud, method) for cloud in clouds(given, folder) for method in given.methods):
+        own = setting(method, given.memory[0], len(cloud.lines), given)
+        other = replace(own, checkout=given.against.resolve())
+        yield [method, f"{len(cloud.lines):,}", *compared(*measured(cloud, [own, other], given.repeat, given.again))]
 
 
 def compared(own: Taken, other: Taken) -> list[str]:
@@ -153,8 +148,8 @@ def compared(own: Taken, other: Taken) -> list[str]:
 
 
 def titled(given: argparse.Namespace) -> str:
-    """Scene and number of processes."""
-    return f"{Path(given.file).name if given.file else given.kind}, {given.repeat} process(es) each"
+    """Scene, processes of each way, and timed attacks after the first one of each process."""
+    return f"{Path(given.file).name if given.file else given.kind}, --repeat {given.repeat} --again {given.again}"
 
 
 def arguments() -> argparse.Namespace:
@@ -165,27 +160,33 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--file", metavar="PATH", help="a line cloud, or a scene, in place of simulated ones")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=["tomography", "learned"], metavar="METHOD")
     parser.add_argument("--rounds", type=int, help="rounds of refinement (default: the method's own)")
-    parser.add_argument("--memory", nargs="+", metavar="GIB", help="bounds: GiB, least, fast (default: l2p's own)")
+    parser.add_argument(
+        "--memory", nargs="+", default=[None], metavar="GIB", help="GiB, least, fast (default: l2p's own)"
+    )
     parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch chooses)")
     parser.add_argument("--repeat", type=int, default=1, help="processes; medians count (default: %(default)s)")
     parser.add_argument("--again", type=int, help=f"attacks more in each, timed (default: 0; against: {AGAIN})")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--parts", action="store_true", help="seconds by part of the attack")
     shown.add_argument("--against", type=Path, metavar="FOLDER", help="root of another checkout to compare with")
-    return parser.parse_args()
+    given = parser.parse_args()
+    if given.again is None:
+        given.again = AGAIN if given.against else 0
+    return given
 
 
 def main() -> int:
-    """Measure what was asked for."""
-    given = arguments()
+    """Measure what was asked for; 1 if an attack took more memory than it was allowed."""
+    given, above = arguments(), list[str]()
     with tempfile.TemporaryDirectory() as place:
         if given.against:
-            compare(given, Path(place))
+            print_table(f"{titled(given)}, this over {given.against}", HEADS_AGAINST, rows_against(given, Path(place)))
         elif given.parts:
             show_parts(given, Path(place))
         else:
-            return int(not measure(given, Path(place)))
-    return 0
+            print_table(titled(given), HEADS, rows(given, Path(place), above))
+    print(*(f"more memory than allowed: {each}" for each in above), sep="\n", end="")
+    return int(bool(above))
 
 
 if __name__ == "__main__":

@@ -13,11 +13,13 @@ their time; memory and traffic do not depend on that.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -62,8 +64,8 @@ def idle_gib(cloud: Cloud) -> float:
 
 def shared(cloud: Cloud, method: str, processes: int, rounds: int | None) -> Shared:
     """Run ``l2p recover`` in so many processes, and look at all of them until it ends."""
-    out, facts = cloud.folder / "out.npz", cloud.folder / "facts.json"
-    words = ["recover", cloud.file, "-o", out, "--json", facts, "--force", "--method", method, "--threads", 1]
+    out, facts = f"{cloud.path}.out.npz", Path(f"{cloud.path}.json")
+    words = ["recover", f"{cloud.path}.npz", "-o", out, "--json", facts, "--force", "--method", method, "--threads", 1]
     words += ["--processes", processes, *(() if rounds is None else ("--rounds", rounds))]
     wire, peaks = loopback_bytes(), dict[int, float]()
     with subprocess.Popen([sys.executable, "-m", "l2p", *map(str, words)], stdout=subprocess.DEVNULL) as running:
@@ -86,21 +88,22 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
+def rows(given: argparse.Namespace, folder: Path) -> Iterator[list[str]]:
+    """A row for each number of lines, method and number of processes."""
+    for count in given.lines:
+        cloud = simulated(given.kind, count, folder)
+        idle = idle_gib(cloud)
+        for method, processes in itertools.product(given.methods, given.processes):
+            took = shared(cloud, method, processes, given.rounds)
+            mib, wire = 1024 * (took.gib - idle), took.wire / count / processes
+            yield [method, f"{count:,}", str(processes), f"{took.seconds:.1f}", f"{mib:.0f}", f"{wire:,.0f}"]
+
+
 def main() -> None:
-    """Print a row for each method, number of lines and number of processes."""
-    given, rows = arguments(), []
+    """Print the table."""
+    given = arguments()
     with tempfile.TemporaryDirectory() as folder:
-        for count in given.lines:
-            cloud = simulated(given.kind, count, Path(folder))
-            idle = idle_gib(cloud)
-            for method in given.methods:
-                for processes in given.processes:
-                    took = shared(cloud, method, processes, given.rounds)
-                    mib, wire = 1024 * (took.gib - idle), took.wire / count / processes
-                    rows.append(
-                        [method, f"{count:,}", str(processes), f"{took.seconds:.1f}", f"{mib:.0f}", f"{wire:,.0f}"]
-                    )
-    print_table(given.kind, HEADS, rows)
+        print_table(given.kind, HEADS, rows(given, Path(folder)))
 
 
 if __name__ == "__main__":
