@@ -1,146 +1,109 @@
-"""Time, memory and bytes on the wire of an attack whose lines are shared out over processes of this machine.
+"""Measure an attack whose lines are shared out over processes of this machine: seconds, memory, bytes on the wire.
 
     python benchmarks/shards.py --lines 3000 --processes 1 2 4
+    python benchmarks/shards.py --lines 3000 --methods tomography --rounds 0
 
-One row for each number of processes, which are started by torchrun:
-
-- seconds of the attack, and how many of them the tomography takes;
-- the peak of resident memory of the largest process (VmHWM of Linux) in MiB, beyond that of `import torch` alone;
-- bytes that go through the loopback interface meanwhile (/proc/net/dev), for each line and process, with all protocols;
-  other programs that talk to themselves on this machine count, too;
-- bytes of the tensors that a process hands over, for each line of the cloud: in the tomography, and in all;
-- cells of the tomography's finest level for each line.
-
-Processes that share cores share their time; their memory and what they say to each other do not depend on that.
+Each row is a run of ``l2p recover --processes``, with one thread each. Memory is the largest of the processes' peaks
+beyond what such a process holds when its attack begins. Bytes on the wire are those through the loopback interface
+(/proc/net/dev) per line and process, with all protocols; other programs that use it count, too. The second command is
+the tomography alone, which docs/scaling.md needs to predict the traffic of a city. Processes that share cores share
+their time; memory and traffic do not depend on that.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
-import l2p
+from harness import Attacker, Cloud, Setting, print_table, simulated
+
 from l2p.attacks.settings import METHODS
+from l2p.work.resident import PROC, peak_gib, resident_gib
+
+#: Seconds between two looks at the peaks of running processes.
+POLL = 0.02
+HEADS = ("method", "lines", "processes", "seconds", "MiB at the largest", "on the wire, B/line/process")
 
 
-def peak_mib() -> float:
-    """The peak of this process's resident memory (VmHWM of Linux)."""
-    with open("/proc/self/status") as status:
-        return next(int(line.split()[1]) / 2**10 for line in status if line.startswith("VmHWM"))
+class Shared(NamedTuple):
+    """Seconds of the attack, GiB at the peak of the largest process, bytes through the loopback interface."""
+
+    seconds: float
+    gib: float
+    wire: int
 
 
 def loopback_bytes() -> int:
     """Bytes that went through the loopback interface since the machine was started."""
-    with open("/proc/net/dev") as interfaces:
-        return next(int(line.split()[9]) for line in interfaces if line.strip().startswith("lo:"))
+    interfaces = (PROC / "net" / "dev").read_text(encoding="ascii").splitlines()
+    return next(int(line.split()[9]) for line in interfaces if line.strip().startswith("lo:"))
 
 
-def work(given: argparse.Namespace) -> None:
-    """Do the share of this process, and write down what it took."""
-    import torch
-
-    before = peak_mib()
-    from l2p.attacks.run import assist, named_method, run
-    from l2p.attacks.tomography import reconstruct as tomography
-    from l2p.work.journal import Rounds
-    from l2p.work.processes import joined
-
-    torch.set_num_threads(1)
-    took: Counter[str] = Counter()
-    update = tomography._update
-
-    def counted(level: tomography._Level, *words: object) -> torch.Tensor:
-        took["cells"] = level.cells[-1].count
-        return update(level, *words)  # type: ignore[arg-type]
-
-    tomography._update = counted
-    with joined("cpu") as (shards, device):
-
-        class Clock:
-            """A progress that looks at the clock and at what was sent."""
-
-            @contextmanager
-            def task(self, name: str, total: int) -> Iterator[Callable[[int], None]]:
-                start, sent = time.perf_counter(), shards.sent
-                yield lambda count: None
-                took[f"{name} seconds"] += time.perf_counter() - start  # type: ignore[assignment]
-                took[f"{name} sent"] += shards.sent - sent
-
-        method = named_method(given.method)
-        if shards.rank == 0:
-            cloud = l2p.load(Path(given.folder) / "lines.npz", l2p.LineCloud)
-            wire = loopback_bytes()
-            run(cloud, method, device=device, progress=Clock(), rounds=Rounds(shards))
-            took["wire"] = loopback_bytes() - wire
-        else:
-            assist(method, shards, device=device)
-        facts = {**took, "sent": shards.sent, "mib": peak_mib() - before}
-        (Path(given.folder) / f"{shards.rank}.json").write_text(json.dumps(facts))
+def family(process: int) -> list[int]:
+    """A process and those that it has started."""
+    try:
+        children = (PROC / str(process) / "task" / str(process) / "children").read_text(encoding="ascii").split()
+    except OSError:
+        children = []
+    return [process, *map(int, children)]
 
 
-def measured(lines: Path, processes: int, given: argparse.Namespace) -> list[dict[str, float]]:
-    """What each process took."""
-    for old in lines.parent.glob("*.json"):
-        old.unlink()
-    command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", str(processes), __file__]
-    if processes == 1:
-        command = [sys.executable, __file__]
-    subprocess.run([*command, "--folder", str(lines.parent), "--method", given.method], check=True)
-    return [json.loads((lines.parent / f"{rank}.json").read_text()) for rank in range(processes)]
+def idle_gib(cloud: Cloud) -> float:
+    """Resident memory of a process that has loaded its libraries and the lines."""
+    with Attacker(cloud, Setting("tomography")) as attacker:
+        return resident_gib(attacker.child.pid) or 0.0
+
+
+def shared(cloud: Cloud, method: str, processes: int, rounds: int | None) -> Shared:
+    """Run ``l2p recover`` in so many processes, and look at all of them until it ends."""
+    out, facts = f"{cloud.path}.out.npz", Path(f"{cloud.path}.json")
+    words = ["recover", f"{cloud.path}.npz", "-o", out, "--json", facts, "--force", "--method", method, "--threads", 1]
+    words += ["--processes", processes, *(() if rounds is None else ("--rounds", rounds))]
+    wire, peaks = loopback_bytes(), dict[int, float]()
+    with subprocess.Popen([sys.executable, "-m", "l2p", *map(str, words)], stdout=subprocess.DEVNULL) as running:
+        while running.poll() is None:
+            peaks.update((process, gib) for process in family(running.pid) if (gib := peak_gib(process)) is not None)
+            time.sleep(POLL)
+    if running.returncode:
+        raise SystemExit(f"l2p recover ended with exit code {running.returncode}")
+    return Shared(json.loads(facts.read_text())["seconds"], max(peaks.values()), loopback_bytes() - wire)
 
 
 def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--lines", type=int, nargs="+", default=[3000], help="numbers of lines (default: %(default)s)")
-    parser.add_argument(
-        "--processes", type=int, nargs="+", default=[1, 2, 4], help="numbers of processes (default: %(default)s)"
-    )
+    parser.add_argument("--processes", type=int, nargs="+", default=[1, 2, 4], help="numbers (default: %(default)s)")
     parser.add_argument("--kind", default="room", help="kind of simulated scene (default: %(default)s)")
-    parser.add_argument("--method", choices=METHODS, default="learned", help="(default: %(default)s)")
-    parser.add_argument("--folder", help=argparse.SUPPRESS)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=["learned"], metavar="METHOD")
+    parser.add_argument("--rounds", type=int, help="rounds of refinement (default: the method's own)")
     return parser.parse_args()
 
 
-def main() -> None:
-    """Print one row for each number of lines and processes."""
-    given = arguments()
-    if given.folder is not None:
-        work(given)
-        return
-    names = ("lines", "processes", "seconds", "MiB", "wire B/line", "tomography B/line", "all B/line", "cells/line")
-    print(f"{given.method}, {given.kind}\n| {' | '.join(names)} |\n|{' ---: |' * len(names)}")
+def rows(given: argparse.Namespace, folder: Path) -> Iterator[list[str]]:
+    """A row for each number of lines, method and number of processes."""
     for count in given.lines:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "lines.npz"
-            l2p.save(l2p.lift(l2p.simulate(given.kind, points=count, seed=0).xyz, seed=0), path)
-            for processes in given.processes:
-                print(row(count, measured(path, processes, given)), flush=True)
+        cloud = simulated(given.kind, count, folder)
+        idle = idle_gib(cloud)
+        for method, processes in itertools.product(given.methods, given.processes):
+            took = shared(cloud, method, processes, given.rounds)
+            mib, wire = 1024 * (took.gib - idle), took.wire / count / processes
+            yield [method, f"{count:,}", str(processes), f"{took.seconds:.1f}", f"{mib:.0f}", f"{wire:,.0f}"]
 
 
-def row(count: int, found: list[dict[str, float]]) -> str:
-    """A row of the table."""
-    first = found[0]
-    seconds = sum(value for name, value in first.items() if name.endswith("seconds"))
-    cells = [
-        f"{count:,}",
-        str(len(found)),
-        f"{seconds:.1f}, {first['tomography seconds']:.1f}",
-        f"{max(each['mib'] for each in found):.0f}",
-        f"{first['wire'] / count / len(found):,.0f}",
-        f"{first['tomography sent'] / count:,.0f}",
-        f"{max(each['sent'] for each in found) / count:,.0f}",
-        f"{first['cells'] / count:.1f}",
-    ]
-    return f"| {' | '.join(cells)} |"
+def main() -> None:
+    """Print the table."""
+    given = arguments()
+    with tempfile.TemporaryDirectory() as folder:
+        print_table(given.kind, HEADS, rows(given, Path(folder)))
 
 
 if __name__ == "__main__":

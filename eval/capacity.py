@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Iterable
 
 from l2p.work.memory import free_bytes
 
-STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 #: Memory of a process with torch loaded, and memory per line of its cell, both GiB: above that of every method of l2p
 #: (``line_bytes``: 5 to 9 KiB).
 PROCESS_GIB = 0.5
@@ -43,23 +39,3 @@ def free_gib() -> float:
     """Memory that this process may still take, GiB; infinite if unknown."""
     free = free_bytes()
     return float("inf") if free is None else free / 2**30
-
-
-@contextmanager
-def measured_peak() -> Iterator[Callable[[], float | None]]:
-    """Yield a function that returns the peak resident memory (GiB) since the block began, or None if unknown."""
-    try:
-        CLEAR.write_text("5", encoding="ascii")  # resets the peak, on Linux
-    except OSError:
-        yield lambda: None
-    else:
-        yield lambda: _entry(STATUS, "VmHWM")
-
-
-def _entry(path: Path, name: str) -> float | None:
-    """An entry of a status file of Linux, in GiB."""
-    try:
-        entry = re.search(rf"^{name}:\s*(\d+) kB", path.read_text(encoding="ascii"), re.MULTILINE)
-    except OSError:
-        return None
-    return int(entry.group(1)) / 2**20 if entry else None

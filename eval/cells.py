@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from eval.capacity import measured_peak
 from eval.contenders import Contender, Trial, identity_of
 from eval.eval_config import Settings
 from l2p.errors import InputError
@@ -27,6 +26,7 @@ from l2p.maps.truth import Hiding
 from l2p.programs.commits import commit, source_digest
 from l2p.programs.scenes import SceneSource, load
 from l2p.schemes.hide import hide
+from l2p.work.resident import measured_peak
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from l2p.attacks.run import usable_device
 from l2p.errors import InputError
 from l2p.work.threads import MOST_THREADS
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "eval"
 
 #: What is done, in this order.
 STEPS = ("predict", "score")
@@ -33,7 +33,7 @@ class PictureKeys:
 
 @dataclass
 class EvalConfig:
-    """The keys of ``configs/eval.yaml``, where each is explained."""
+    """The keys of ``configs/eval/eval.yaml``, where each is explained."""
 
     name: str = MISSING
     run: str = MISSING

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+#: Programs that run for minutes or hours; no test, and no doctest, is in them.
+collect_ignore = ["stress"]
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ from l2p.errors import InputError
 from l2p.simulator import MAX_POINTS, MIN_POINTS
 from l2p.work.threads import MOST_THREADS
 
-CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "train"
 
 
 def _keys_of(default: Any) -> Any:
@@ -83,7 +83,7 @@ class FitSettings:
 
 @dataclass
 class TrainConfig(DataSettings, FitSettings):
-    """The keys of ``configs/train.yaml``, where each is explained."""
+    """The keys of ``configs/train/train.yaml``, where each is explained."""
 
     name: str = MISSING
     run: str = MISSING

@@ -2,7 +2,7 @@
 
 Torch's own threads share every single operation, and wait for each other after it. Blocks that fit the cache are far
 too small for that: on a busy machine, or with ``OMP_WAIT_POLICY=PASSIVE``, two such threads are slower than one
-(``benchmarks/block_threads.py``). Independent blocks need no such waiting.
+(``benchmarks/kernels.py``). Independent blocks need no such waiting.
 """
 
 from __future__ import annotations

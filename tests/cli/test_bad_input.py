@@ -181,7 +181,11 @@ HEURISTIC = ("--method", "heuristic")
 @pytest.mark.parametrize(
     ("output", "flags", "message"),
     [
-        ("out.npz", ["--method", "magic"], "got method 'magic'; expected one of learned, tomography, heuristic, or package.module:Attack"),
+        (
+            "out.npz",
+            ["--method", "magic"],
+            "got method 'magic'; expected one of learned, tomography, heuristic, or",
+        ),
         ("out.npz", ["--device", "cuda:77"], "got device 'cuda:77'; expected one of cpu"),
         ("out.npz", ["--device", "quantum"], "got device 'quantum'; expected one of cpu"),
         ("out.npz", ["--threads", "0"], "got --threads 0; expected at least 1"),

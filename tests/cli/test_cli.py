@@ -347,8 +347,8 @@ def test_a_bug_is_not_hidden(tmp_path, lifted, monkeypatch):
 
 
 def test_kills_at_random_moments_leave_nothing_half_done():
-    """A few of those of benchmarks/kill_runs.py."""
-    script = Path(__file__).parents[2] / "benchmarks" / "kill_runs.py"
+    """A few of those of tests/stress/kill_runs.py."""
+    script = Path(__file__).parents[1] / "stress" / "kill_runs.py"
     command = [sys.executable, str(script), "--programs", "recover", "--kills", "3", "--chain", "2", "--seed", "1"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -30,6 +30,7 @@ from l2p.errors import InputError
 from l2p.maps.recovery import Recovery
 from l2p.programs.scenes import scenes_of
 
+ROOT = Path(__file__).parents[2]
 EXPERIMENTS = (CONFIGS / "experiment").glob("*.yaml")
 METHODS_OF_README = ["heuristic", "heuristic with sparse counts", "tomography", "learned", "oracle 50", "LOO"]
 TINY = ["scenes=[sim:room:120:0]", "fractions=[1.0,0.5]", "threads=1"]
@@ -420,11 +421,11 @@ def test_real_scenes_have_the_kinds_of_their_table(shared: Path) -> None:
 
 def test_the_program_runs_from_the_command_line(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "eval", *TINY, f"run={tmp_path}", "methods=[{name: oracle, k: 10}]"]
-    done = subprocess.run(command, cwd=CONFIGS.parent, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     assert "oracle 10" in done.stdout
     assert shlex.join(["python", *command[1:]]) in (tmp_path / "results.md").read_text()
     assert (tmp_path / "config.yaml").is_file() and (tmp_path / "eval.log").is_file()
-    wrong = subprocess.run([*command, "fractions=[2]"], cwd=CONFIGS.parent, capture_output=True, text=True, timeout=120)
+    wrong = subprocess.run([*command, "fractions=[2]"], cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert wrong.returncode == 2
     assert wrong.stderr.startswith("eval: got fraction 2.0") and wrong.stderr.count("\n") == 1

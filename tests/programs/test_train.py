@@ -34,6 +34,7 @@ from train.lightning_parts import FigureTable
 from train.train_config import CONFIGS, Settings, settings_of
 from train.training import train_all
 
+ROOT = Path(__file__).parents[2]
 COMMAND = "python -m train"
 
 
@@ -180,7 +181,7 @@ def test_two_processes_train_one_network_also_after_a_kill(tmp_path: Path) -> No
     env = {**os.environ, "OMP_NUM_THREADS": "1"}
     with (
         (tmp_path / "log").open("wb") as log,
-        subprocess.Popen([*command, "steps=100000"], cwd=CONFIGS.parent, env=env, stderr=log) as training,
+        subprocess.Popen([*command, "steps=100000"], cwd=ROOT, env=env, stderr=log) as training,
     ):
         until = time.monotonic() + 120
         while not last.exists() and training.poll() is None and time.monotonic() < until:
@@ -192,7 +193,7 @@ def test_two_processes_train_one_network_also_after_a_kill(tmp_path: Path) -> No
     steps = saved["global_step"] + 2
     done = subprocess.run(
         [*command, f"steps={steps}"],
-        capture_output=True, text=True, check=False, cwd=CONFIGS.parent, env=env, timeout=120,
+        capture_output=True, text=True, check=False, cwd=ROOT, env=env, timeout=120,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{folder / 'model.safetensors'}\n", "one process speaks"
@@ -286,6 +287,6 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
 
 def test_the_command_line_ends_with_a_sentence(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "train", "experiment=debug", "val=[]", f"run={tmp_path / 'run'}"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=CONFIGS.parent, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, timeout=120)
     assert done.returncode == 2 and not done.stdout
     assert done.stderr.splitlines()[-1].startswith("train: got no val scenes")

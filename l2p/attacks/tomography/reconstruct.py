@@ -33,7 +33,7 @@ from l2p.work.work import ALONE, Work
 
 #: Most line samples in one block of work, and bytes of temporaries of each.
 SAMPLES, _SAMPLE_BYTES = 1 << 20, 60
-#: Most that is held of each line meanwhile: samples, and up to a cell for each (``benchmarks/memory.py``).
+#: Most that is held of each line meanwhile: samples, and up to a cell for each (``benchmarks/recover.py``).
 LINE_BYTES = 8200
 #: Mass of a cell that counts as none.
 EMPTY = 1e-12

@@ -1,6 +1,6 @@
-"""Do the readers survive any bytes? Valid files of every format are damaged, and read, until the time is over.
+"""Damage valid files of every format, and read them, until the time is over: do the readers survive any bytes?
 
-    python benchmarks/fuzz_readers.py --minutes 60
+    python tests/stress/fuzz_readers.py --minutes 60
 
 A reader gives an object or raises InputError; anything else is a finding, and so are warnings, a death of the process,
 more than 20 seconds, or more memory than 100 MB and 20 times the file. Each kind of finding is saved once, to
@@ -13,7 +13,8 @@ needs the package atheris, which is no dependency of the project: make an enviro
 of this one,
 
     python -m venv /tmp/atheris && /tmp/atheris/bin/pip install atheris
-    PYTHONPATH=.:.venv/lib/python3.11/site-packages /tmp/atheris/bin/python benchmarks/fuzz_readers.py --engine atheris
+    export PYTHONPATH=.:.venv/lib/python3.11/site-packages
+    /tmp/atheris/bin/python tests/stress/fuzz_readers.py --engine atheris
 """
 
 from __future__ import annotations
@@ -73,9 +74,9 @@ TRACED: tuple[ModuleType, ...] = (
     *(checkpoint, exhibit, tables, colmap, kinds, line_files, npz, ply, recovery_files, scene_files, text_lines),
     *(zipfile, importlib.import_module("plyfile"), np.lib.format),
 )
-#: What a file may cost: seconds of a processor, and bytes beside a multiple of its own.
+#: Limits for one file: processor seconds, and bytes beyond a multiple of its size.
 SECONDS, BYTES, TIMES = 20, 100 << 20, 20
-#: Address space beyond that of an idle process; what is not allocated by Python meets this limit.
+#: Bytes of address space beyond that of an idle process: a limit on allocations that tracemalloc does not see.
 SPACE = 4 << 30
 #: Rows of the valid files.
 ROWS = 6
@@ -164,14 +165,16 @@ def _write_points(root: Path) -> None:
 
 def _write_checkpoint(root: Path) -> None:
     from l2p.attacks.learned.learned import LearnedConfig
-    from l2p.attacks.learned.network import RADII, LineTransformer, NetworkConfig
+    from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         network = LineTransformer(NetworkConfig(width=2, layers=1, heads=1))
     result = {"scene": "room", "fraction": 0.5, "lines": 9, "median": [0.4], "within": [0.6]}
     facts = {"commit": "0123abcd", "seed": 1, "steps": 3, "minutes": 1.5, "scenes": ["room"], "results": [result]}
-    whole = checkpoint.Checkpoint(network, LearnedConfig(rounds=1, candidates=4), [[(1.0, 0.0)] * len(RADII)], facts)
+    whole = checkpoint.Checkpoint(
+        network, LearnedConfig(rounds=1, candidates=4), [[(1.0, 0.0)] * len(NetworkConfig.radii)], facts
+    )
     checkpoint.save(root / "model.safetensors", whole)
 
 
@@ -188,7 +191,7 @@ def _write_models(root: Path) -> None:
 
 
 def read_all(path: Path) -> None:
-    """Try every reader; a sentence is an answer, and what is printed is of no interest."""
+    """Try every reader; InputError is an answer, and printed text is dropped."""
     for reader in READERS:
         with contextlib.suppress(InputError), contextlib.redirect_stdout(io.StringIO()):
             reader(path)
@@ -226,7 +229,7 @@ def repaired(name: str, content: bytes) -> bytes:
 
 
 def try_one(path: Path, size: int) -> str | None:
-    """Read a damaged file; what is wrong with how that went, if anything."""
+    """Read a damaged file; returns the finding, or None if the reader did well."""
     tracemalloc.reset_peak()
     before = tracemalloc.get_traced_memory()[0]
     signal.setitimer(signal.ITIMER_PROF, SECONDS)  # ends the process, also on a machine that is busy otherwise
@@ -258,7 +261,7 @@ def save_finding(findings: Path, case: Path, error: str) -> None:
 
 
 def work(files: list[Valid], findings: Path, desk: Path, number: int, until: float) -> None:
-    """What a process does: one case after the other, each on the desk while it is read."""
+    """Read one case after the other until the time is over; each lies on the desk while it is read."""
     limit = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() + SPACE
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -283,7 +286,7 @@ def work(files: list[Valid], findings: Path, desk: Path, number: int, until: flo
 
 
 def fuzz(files: list[Valid], findings: Path, minutes: float, seed: int) -> None:
-    """Let processes work until the time is over; what ends one is a finding."""
+    """Let processes work until the time is over; the death of one is a finding."""
     until = time.monotonic() + 60 * minutes
     with tempfile.TemporaryDirectory(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None) as folder:
         while time.monotonic() < until:
@@ -293,7 +296,7 @@ def fuzz(files: list[Valid], findings: Path, minutes: float, seed: int) -> None:
                 work(files, findings, Path(folder), seed, until)
                 os._exit(0)
             code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
-            for path in Path(folder).iterdir():  # what it was at when it died
+            for path in Path(folder).iterdir():  # the case that it died of
                 save_finding(
                     findings, path, f"the process ended with {signal.Signals(-code).name if code < 0 else code}"
                 )

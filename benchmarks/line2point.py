@@ -1,6 +1,10 @@
-"""Speed and error against Line2Point, the authors' program, on the same points in the same run.
+"""Compare speed and error with Line2Point, the authors' program, on the same points in the same run.
 
-    python benchmarks/against_line2point.py --reference path/to/Line2Point
+    python benchmarks/line2point.py --reference path/to/Line2Point --lines 10000
+
+docs/experiments.md has the table. Seconds count from the loaded points to the last estimate; CPU seconds are those of
+whole programs, imports included. The error of Line2Point includes one free vote for the truth a line: each line counts
+as its own neighbour, and the origin of each line is the true point. l2p has neither, and cannot be told to.
 
 Line2Point (https://github.com/kunalchelani/Line2Point) has no licence, so no part of it is here: clone it and name the
 folder. Its program runs as it is, in its folder, with the interpreter that runs this file. It needs open3d, scipy and
@@ -22,16 +26,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from harness import print_table
 
 import l2p
-from l2p.io.scene_files import save_scene_ply
 from l2p.judging.accuracy import spacing
 
 PROGRAM = "Recover.py"
-#: What the program prints when its points are loaded and its attack begins.
+#: A line that the program prints when its points are loaded and its attack begins.
 BEGIN = "Finding Coarse Estimates"
 ROUNDS = 3
-#: Rows of this package: a name, and what is given to ``l2p recover``.
+HEADS = ("program", "seconds", "times faster", "CPU seconds", "times less CPU", "median error", "in spacings")
+#: Rows of this package: a name, and words of ``l2p recover``.
 RUNS: tuple[tuple[str, list[object]], ...] = (
     ("heuristic, `--threads 1`", ["--method", "heuristic", "--rounds", ROUNDS, "--threads", 1]),
     ("heuristic, as it comes", ["--method", "heuristic", "--rounds", ROUNDS]),
@@ -51,6 +56,13 @@ class Row:
     median: float
 
 
+def cells(row: Row, first: Row, unit: float) -> list[str]:
+    """A row of the table, beside the first one."""
+    faster, less = first.seconds / row.seconds, first.cpu / row.cpu
+    seconds = [f"{row.seconds:.1f}", f"{faster:.0f}", f"{row.cpu:.1f}", f"{less:.0f}"]
+    return [row.name, *seconds, f"{row.median:.4f}", f"{row.median / unit:.3f}"]
+
+
 def load(name: str, count: int) -> l2p.Scene:
     """``count`` points of a simulated scene (sim:KIND) or of a file."""
     if name.startswith("sim:"):
@@ -62,27 +74,24 @@ def load(name: str, count: int) -> l2p.Scene:
 
 
 def run_reference(folder: Path, cloud: Path) -> Row:
-    """Run the authors' program and read its last median error; what it prints goes to stderr with the time."""
+    """Run the authors' program and read its last median error; its output goes to stderr with the time."""
     command = [
         sys.executable, "-u", PROGRAM, "--input_type", "ply", "--input_ply_fname", str(cloud),
         "--use_fraction_pts", "1.0", "--num_refine_iterations", str(ROUNDS),
     ]  # fmt: skip
-    median, began, cpu_began = None, None, _children_cpu()
-    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None and process.stderr is not None
-    started = time.perf_counter()
-    # Its progress bars would fill the pipe of stderr and stop it.
+    median, cpu_began = None, _children_cpu()
+    began = started = time.perf_counter()
+    # A pipe for its progress bars would fill and stop it.
     with tempfile.TemporaryFile("w+") as noise:
-        drain = subprocess.Popen(["cat"], stdin=process.stderr, stdout=noise)
-        for line in process.stdout:
+        process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=noise, text=True)
+        for line in process.stdout or ():
             print(f"{time.perf_counter() - started:8.1f} s  {line.rstrip()}", file=sys.stderr, flush=True)
             if line.startswith(BEGIN):
                 began = time.perf_counter()
             if found := re.match(r"Median error : (\S+)", line):
                 median = float(found[1])
         process.wait()
-        seconds = time.perf_counter() - (began or started)
-        drain.wait()
+        seconds = time.perf_counter() - began
         noise.seek(0)
         if process.returncode != 0 or median is None:
             raise SystemExit(f"{folder / PROGRAM} failed:\n{noise.read()[-2000:]}")
@@ -110,24 +119,6 @@ def _command(*words: object) -> None:
     subprocess.run([sys.executable, "-m", "l2p", *map(str, words)], check=True, stdout=subprocess.DEVNULL)
 
 
-def show(rows: list[Row], unit: float) -> None:
-    """The table, in Markdown."""
-    first = rows[0]
-    print("| program | seconds | times faster | CPU seconds | times less CPU | median error | in spacings |")
-    print("| --- | --- | --- | --- | --- | --- | --- |")
-    for row in rows:
-        print(
-            f"| {row.name} | {row.seconds:.1f} | {first.seconds / row.seconds:.0f} | {row.cpu:.1f} | "
-            f"{first.cpu / row.cpu:.0f} | {row.median:.4f} | {row.median / unit:.3f} |"
-        )
-    print(
-        "\nSeconds count from the loaded points to the last estimate; CPU seconds are those of whole programs, imports"
-        "\nincluded, and depend less on what else the machine does."
-        "\nThe error of Line2Point includes one free vote for the truth a line: each line counts as its own neighbour,"
-        "\nand the origin of each line is the true point. l2p has neither, and cannot be told to."
-    )
-
-
 def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -148,12 +139,11 @@ def main() -> None:
     scene = load(given.scene, given.lines)
     with tempfile.TemporaryDirectory() as place:
         cloud = Path(place) / "cloud.ply"
-        save_scene_ply(l2p.Scene(scene.xyz), cloud)
+        l2p.save(l2p.Scene(scene.xyz), cloud)
         rows = [run_reference(given.reference, cloud)]
         rows += [run_l2p(cloud, *run) for run in RUNS]
-    print(f"`python {' '.join([os.path.relpath(sys.argv[0]), *sys.argv[1:]])}`\n")
-    print(f"{given.lines} lines of {given.scene}, {ROUNDS} refinements of the heuristics, {os.cpu_count()} cores\n")
-    show(rows, spacing(scene.xyz))
+    title = f"{given.lines} lines of {given.scene}, {ROUNDS} refinements of the heuristics, {os.cpu_count()} cores"
+    print_table(title, HEADS, [cells(row, rows[0], spacing(scene.xyz)) for row in rows])
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""What does kill -9 leave behind? Programs are killed at random moments, looked at, and run again to their end.
+"""Kill programs at random moments, look at what is left, and run them again to their end.
 
-    nice -n 19 python benchmarks/kill_runs.py --kills 60
+    nice -n 19 python tests/stress/kill_runs.py --kills 60
 
 `l2p recover`, `l2p audit`, `python -m train` and `python -m eval` work on tiny simulated scenes. Each is run to its
 end once, which gives its result and its time. Then, folder after folder, the same command is killed a few times at
@@ -37,7 +37,7 @@ from l2p.attacks.learned import checkpoint
 from l2p.io.atomic import atomic_file
 from l2p.io.recovery_files import load_recovery
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 #: Outputs of one kill or run, by name: a digest of what they say.
 Found = dict[str, str]
 #: Keys of JSON outputs that say when and where, not what.
@@ -70,7 +70,7 @@ def _json_digest(file: Path) -> str:
 
 
 def _lasting(value: Any) -> Any:
-    """A JSON value without what varies from run to run."""
+    """A JSON value without the keys that vary from run to run."""
     if isinstance(value, dict):
         return {key: _lasting(part) for key, part in value.items() if key not in _VARYING}
     return [_lasting(part) for part in value] if isinstance(value, list) else value
@@ -168,7 +168,7 @@ def programs(inputs: Path) -> list[Program]:
 
 
 def finish(program: Program, folder: Path, again: bool) -> tuple[str, float]:
-    """Run to the end; what it complained of if it failed, and seconds."""
+    """Run to the end; returns its complaint if it failed, and seconds."""
     began = time.monotonic()
     done = subprocess.run(program.command(folder, again), cwd=ROOT, capture_output=True, text=True, check=False)
     said = f"exit code {done.returncode}: {done.stderr.strip()[-300:]}" if done.returncode else ""
@@ -207,7 +207,7 @@ def examine(program: Program, folder: Path, wanted: Found, count: Counter[str], 
 
 
 def try_program(program: Program, kills: int, chain: int, chance: random.Random, root: Path) -> tuple[Counter, list]:
-    """Kill it so many times; what was counted, and what was wrong."""
+    """Kill it so many times; returns the counts and the complaints."""
     count, wrong = Counter[str](), list[str]()
     (root / "reference").mkdir(parents=True)
     said, seconds = finish(program, root / "reference", again=False)

@@ -1,4 +1,4 @@
-"""Which steps from line to line some modules take while they run: what tells a fuzzer that an input was worth keeping.
+"""Record the steps from line to line that some modules take: an input that adds steps is worth keeping for a fuzzer.
 
 Plain ``sys.settrace``, limited to the files of interest; everything else runs at full speed.
 """

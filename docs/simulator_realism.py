@@ -1,18 +1,21 @@
-"""Do simulated scenes behave like real SfM models? Geometry and attack errors of both, side by side.
+"""Write docs/simulator.md: geometry and attack errors of simulated scenes beside those of real SfM models.
 
-    python benchmarks/simulator_realism.py --scenes ../shared/scenes --out docs/simulator.md
+    python docs/simulator_realism.py --scenes ../shared/scenes --out docs/simulator.md
 
 Real scenes are read from the folders ``val`` and ``train`` of ``--scenes`` (npz with ``xyz``). The simulator was tuned
-on ``train`` only. Figures of every scene are written to ``<out>.csv`` beside the table.
+on ``train`` only. Of every scene some points are written to the folder of the run, where ``python -m eval`` attacks
+them; a run that was stopped goes on. Figures of every scene are written to ``<out>.csv`` beside the table.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import json
+import shutil
+import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,8 +23,9 @@ import numpy as np
 from jaxtyping import Float
 
 import l2p
-from l2p.judging.accuracy import evaluate, spacing
 from l2p.simulator import KINDS
+
+ROOT = Path(__file__).resolve().parents[1]
 
 TEXT = """# The simulator, and how real it is
 
@@ -87,6 +91,8 @@ class Column:
     form: str
 
 
+#: Methods of the evaluation, by the first word of their columns.
+METHODS = {"heuristic": "name: heuristic", "oracle": "name: oracle, k: 50", "loo": "name: loo"}
 GEOMETRY = (
     Column("nearest", "nearest / diagonal, 1e-3", ".2f"),
     Column("spread", "spread of density", ".1f"),
@@ -123,52 +129,44 @@ def geometry(points: Float[np.ndarray, "points 3"]) -> dict[str, float]:
     }
 
 
-def attack(points: Float[np.ndarray, "points 3"]) -> dict[str, float]:
-    """Median error in spacings and share within one spacing of the heuristic, oracle(50) and the LOO bound."""
-    from l2p.attacks.heuristic import Heuristic
-    from l2p.attacks.run import run
-    from l2p.judging.references import LeaveOneOut, Oracle
-
-    hidden = l2p.hide(points, seed=0)
-    lines, index = hidden.map, hidden.truth.index
-    truth = points[index]
-    methods: dict[str, Callable] = {
-        "heuristic": Heuristic, "oracle": lambda: Oracle(truth, k=50), "loo": lambda: LeaveOneOut(truth),
-    }  # fmt: skip
-    figures = {}
-    for name, method in methods.items():
-        scores = evaluate(run(lines, method()), truth, spacing(points))
-        figures[f"{name}_median"] = scores.median_spacings
-        figures[f"{name}_share"] = scores.within_spacings["1"]
-    return figures
-
-
-def simulated_rows(points: int, seeds: int) -> Iterator[dict]:
-    """One row of figures for each simulated scene."""
+def simulated_rows(points: int, seeds: int, folder: Path) -> Iterator[dict]:
+    """One row of geometry for each simulated scene."""
     for kind in KINDS:
         for seed in range(seeds):
-            yield row(kind, "simulated", f"seed {seed}", l2p.simulate(kind, points=points, seed=seed).xyz, points)
+            xyz = l2p.simulate(kind, points=points, seed=seed).xyz
+            yield row(kind, "simulated", f"seed {seed}", xyz, points, folder / f"{kind}-{seed}.npz")
 
 
-def real_rows(scenes: Path, points: int) -> Iterator[dict]:
-    """One row of figures for each real scene that is there."""
+def real_rows(scenes: Path, points: int, folder: Path) -> Iterator[dict]:
+    """One row of geometry for each real scene that is there."""
     for kind, names in REAL.items():
         for name in names:
             path = scenes / f"{name}.npz"
             if path.exists():
-                xyz = np.load(path)["xyz"].astype(np.float64)
-                yield row(kind, path.parent.name, path.stem, xyz, points)
+                yield row(kind, path.parent.name, path.stem, l2p.load(path, l2p.Scene).xyz, points, folder / path.name)
             else:
                 print(f"{path} is absent: left out", file=sys.stderr)
 
 
-def row(kind: str, source: str, name: str, xyz: Float[np.ndarray, "points 3"], points: int) -> dict:
-    """The figures of a random subset of at most ``points`` points of a scene."""
-    began = time.perf_counter()
+def row(kind: str, source: str, name: str, xyz: Float[np.ndarray, "points 3"], points: int, file: Path) -> dict:
+    """The geometry of a random subset of at most ``points`` points of a scene, which is saved."""
     chosen = xyz[np.random.default_rng(0).permutation(len(xyz))[:points]]
-    figures = {"kind": kind, "source": source, "name": name, "N": len(xyz)} | geometry(chosen) | attack(chosen)
-    print(f"{kind:8} {source:9} {name:26} {time.perf_counter() - began:5.1f} s", file=sys.stderr)
-    return figures
+    np.savez(file, xyz=chosen)
+    return {"kind": kind, "source": source, "name": name, "N": len(xyz), **geometry(chosen), "file": file.stem}
+
+
+def with_attacks(rows: list[dict], folder: Path) -> list[dict]:
+    """The rows with errors of the heuristic, oracle(50) and the LOO bound, from one run of the evaluation."""
+    run = folder.parent / "eval"
+    methods = ",".join(f"{{{words}, label: {name}}}" for name, words in METHODS.items())
+    keys = [f"scenes=[{folder}]", f"methods=[{methods}]", "fractions=[1.0]", "seeds=[0]", "threads=1", f"run={run}"]
+    subprocess.run([sys.executable, "-m", "eval", *keys], check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
+    for found in json.loads((run / "results.json").read_text())["rows"]:
+        for each in rows:
+            if each["file"] == found["scene"]:
+                each[f"{found['method']}_median"] = found["median_spacings"]
+                each[f"{found['method']}_share"] = found["within_1"]
+    return [{name: value for name, value in each.items() if name != "file"} for each in rows]
 
 
 def kept_rows(path: Path) -> list[dict]:
@@ -215,7 +213,7 @@ def range_tables(rows: list[dict]) -> str:
 
 
 def outside(rows: list[dict]) -> str:
-    """What is not within the range of the real scenes of its kind, in a list."""
+    """A list of the figures outside the range of the real scenes of their kind."""
     real, simulated = ([r for r in rows if (r["source"] == "simulated") == own] for own in (False, True))
     lines, count = [], 0
     for kind in KINDS:
@@ -239,19 +237,12 @@ def outside(rows: list[dict]) -> str:
     )
 
 
-def scene_table(rows: list[dict]) -> str:
-    """Every scene on its own line."""
-    columns = (*GEOMETRY, *ATTACK)
-    body = [[r["kind"], r["source"], r["name"], str(r["N"]), *(f"{r[c.key]:{c.form}}" for c in columns)] for r in rows]
-    return table(["kind", "from", "scene", "N", *(c.heading for c in columns)], body)
-
-
 def document(rows: list[dict], command: str, points: int) -> str:
     """The whole of docs/simulator.md."""
     text = TEXT
     fill = {
         "COMMAND": command, "POINTS": f"{points:,}".replace(",", " "), "RANGES": range_tables(rows),
-        "OUTSIDE": outside(rows), "SCENES": scene_table(rows),
+        "OUTSIDE": outside(rows),
     }  # fmt: skip
     for key, value in fill.items():
         text = text.replace("{{" + key + "}}", value)
@@ -290,6 +281,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--out", type=Path, default=Path("docs/simulator.md"), help="Markdown to write (default: %(default)s)"
     )
+    parser.add_argument("--run", type=Path, default=Path("runs/simulator"), help="folder (default: %(default)s)")
     parser.add_argument("--points", type=int, default=12_000, help="points of a scene at most (default: %(default)s)")
     parser.add_argument("--seeds", type=int, default=3, help="simulated scenes of a kind (default: %(default)s)")
     parser.add_argument(
@@ -303,11 +295,15 @@ def main() -> None:
     given = arguments()
     figures = given.out.with_suffix(".csv")
     given.out.parent.mkdir(parents=True, exist_ok=True)
-    rows = kept_rows(figures) if given.keep_real else list(real_rows(given.scenes, given.points))
+    folder = given.run.resolve() / "scenes"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    kept = kept_rows(figures) if given.keep_real else []
+    real = [] if given.keep_real else list(real_rows(given.scenes, given.points, folder))
+    simulated = list(simulated_rows(given.points, given.seeds, folder))
+    rows = [*kept, *with_attacks([*real, *simulated], folder)]
     write_rows(figures, rows)
-    rows += simulated_rows(given.points, given.seeds)
-    write_rows(figures, rows)
-    command = f"python benchmarks/simulator_realism.py --scenes {given.scenes} --out {given.out}"
+    command = f"python docs/simulator_realism.py --scenes {given.scenes} --out {given.out}"
     given.out.write_text(document(rows, command, given.points))
     picture(given.out.parent / "images" / "simulator.png", 20_000)
 
