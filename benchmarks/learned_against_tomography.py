@@ -15,7 +15,8 @@ import numpy as np
 
 import l2p
 from l2p.attacks.run import named_method, run
-from l2p.judging.accuracy import evaluate, spacing
+from l2p.judging.accuracy import spacing
+from l2p.judging.scores import evaluate
 from l2p.schemes.hide import hide
 
 

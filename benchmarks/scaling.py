@@ -16,7 +16,8 @@ import sys
 
 import l2p
 from l2p.attacks.settings import METHODS
-from l2p.judging.accuracy import evaluate, spacing
+from l2p.judging.accuracy import spacing
+from l2p.judging.scores import evaluate
 from l2p.schemes.hide import hide
 
 

@@ -20,7 +20,8 @@ import numpy as np
 from jaxtyping import Float
 
 import l2p
-from l2p.judging.accuracy import evaluate, spacing
+from l2p.judging.accuracy import spacing
+from l2p.judging.scores import evaluate
 from l2p.simulator import KINDS
 
 TEXT = """# The simulator, and how real it is

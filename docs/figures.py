@@ -30,7 +30,8 @@ from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import nearest_lines_to_lines, nearest_lines_to_points, nearest_points_to_lines
 from l2p.geometry.pairs import closest_points
-from l2p.judging.accuracy import errors, risk_coverage, spacing
+from l2p.judging.accuracy import SPACING_NEIGHBOR, errors, spacing
+from l2p.judging.confidence import risk_coverage
 from l2p.judging.references import CandidateOracle, LeaveOneOut, Oracle
 from l2p.show.pictures import Box
 
@@ -39,7 +40,7 @@ POINTS, SEED = 5000, 3
 #: Neighbours of the paper's coarse stage, indoors.
 K = 250
 #: True neighbours, as the spacing and the bounds count them.
-TRUE = 50
+TRUE = SPACING_NEIGHBOR
 #: Errors from this many spacings on have one colour.
 LIMIT = 2.0
 GREY, BLUE, ORANGE, GREEN, RED = "#b8bec9", "#2563eb", "#ea7317", "#15803d", "#c81e3a"

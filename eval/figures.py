@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from eval.contenders import PAPER_KIND
-from eval.mean_curves import SHARES, THRESHOLDS, pooled_reliability
+from eval.mean_curves import pooled_reliability
 from eval.result_tables import MEDIAN, SHARE, Column, distinct, pool_seed
 from eval.scoring import Row
+from l2p.judging.curves import SHARES, SHOWN, THRESHOLDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,8 +30,6 @@ class Drawing(NamedTuple):
     content: bytes
 
 
-#: Errors outside these say little: below lies the noise of the map, above any place in the scene.
-SHOWN = (0.02, 30)
 TICKS = (0.1, 1, 10)
 #: Inches of a legend's row, of what is beside a label, and of a letter of it; most entries in a row.
 LEGEND_ROW, LEGEND_KEY, LEGEND_LETTER, LEGEND_MOST = 0.18, 0.6, 0.075, 4

@@ -15,7 +15,7 @@ from torch.nn import functional
 from l2p.attacks.learned.features import surroundings
 from l2p.attacks.learned.learned import LearnedConfig, judge_round, relaxed
 from l2p.attacks.learned.network import RADII, LineTransformer
-from l2p.judging.accuracy import calibration_error
+from l2p.judging.confidence import calibration_error
 from train.clouds import Cloud, CloudSource
 
 _ONE = RADII.index(1.0)

@@ -22,9 +22,10 @@ from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import nearest_points_to_lines
 from l2p.geometry.pairs import feet
 from l2p.geometry.points import nearest_neighbors
+from l2p.judging.accuracy import SPACING_NEIGHBOR
 from l2p.work.progress import NO_PROGRESS, Progress
 
-#: Kernel widths that the leave-one-out bound tries, as shares of the median distance to the 50th point.
+#: Kernel widths that the leave-one-out bound tries, in spacings.
 BANDWIDTHS = (0.125, 0.25, 0.5, 1.0)
 
 
@@ -150,7 +151,7 @@ class LeaveOneOut:
         truth = frame.enter_points(self.points, lines.direction.device, lines.direction.dtype)
         near = nearest_points_to_lines(lines, truth, self.k, progress=progress)
         true_beta = ((truth - lines.foot) * lines.direction).sum(dim=1)
-        unit = nearest_neighbors(self.points, 50).distance[:, -1:]
+        unit = nearest_neighbors(self.points, SPACING_NEIGHBOR).distance[:, -1:]
         # The frame's unit, where one line or points in one place leave no scale of their own.
         scale = (float(np.median(unit)) / frame.unit if unit.size else 0.0) or 1.0
         best, least = None, torch.inf
