@@ -237,13 +237,16 @@ def _styles(methods: Sequence[str], knowing: Collection[str]) -> Styles:
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:
-    """A figure of its own, outside pyplot's state, that draws with Agg; at most three panels side by side."""
+    return empty_panels(count, count if count < 4 else 2 if count == 4 else 3, (3.6, 2.6))
+
+
+def empty_panels(count: int, columns: int, size: tuple[float, float], below: float = 0.0) -> tuple[Figure, list[Axes]]:
+    """A figure of its own, outside pyplot's state, that draws with Agg; ``size`` of a panel and ``below`` in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    columns = count if count < 4 else 2 if count == 4 else 3
     rows = -(-count // columns)
-    figure = Figure(figsize=(3.6 * columns, 2.6 * rows), layout="constrained")
+    figure = Figure(figsize=(size[0] * columns, size[1] * rows + below), layout="constrained")
     FigureCanvasAgg(figure)
     panels = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axes in panels[count:]:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from l2p.attacks.attack import Estimate, in_own_order
 from l2p.attacks.peak import PeakConfig
-from l2p.attacks.settings import SCENE_KINDS
+from l2p.attacks.settings import DENSITY, SCENE_KINDS
 from l2p.attacks.votes import _equal, member, peaks, vote
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
@@ -43,8 +43,8 @@ class HeuristicConfig:
     peak : PeakConfig
     """
 
-    scene_kind: str = "indoor"
-    density: float = 1.0
+    scene_kind: str = SCENE_KINDS[0]
+    density: float = DENSITY
     rounds: int = 3
     intersection: int = 10
     peak: PeakConfig = PeakConfig()

@@ -14,5 +14,7 @@ SETTINGS = {
     "scene_kind": ("heuristic",),
 }
 
-#: What the heuristic's table of neighbours distinguishes.
+#: Kinds of scene in the heuristic's table of neighbours; the first is the default.
 SCENE_KINDS = ("indoor", "outdoor")
+#: Share of the map's points that lines hold, unless it is given.
+DENSITY = 1.0

@@ -17,6 +17,7 @@ from jaxtyping import Float, UInt8
 
 from l2p.attacks.run import recover
 from l2p.attacks.settings import DEFAULT_METHOD, SETTINGS
+from l2p.auditing import FRACTIONS
 from l2p.errors import InputError
 from l2p.judging.accuracy import compare, spacing
 from l2p.judging.curves import SHARES, THRESHOLDS, Curves, measured_curves, predicted_curves
@@ -30,8 +31,6 @@ from l2p.maps.truth import Truth
 from l2p.schemes.hide import hide
 from l2p.work.progress import NO_PROGRESS, Progress
 
-#: Shares of the points that are lifted unless others are asked for, from the whole map to a very sparse one.
-FRACTIONS = (1.0, 0.5, 0.1, 0.05)
 #: Version of the layout of ``audit.json``.
 AUDIT_VERSION = 1
 
