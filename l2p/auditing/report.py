@@ -167,7 +167,7 @@ def _heads(shown: Sequence[Figure]) -> list[Head]:
     heads = []
     for over, group in groupby(shown, lambda figure: figure.over or figure.name):
         own = list(group)
-        under = tuple(figure.under for figure in own)
+        under = tuple(figure.column for figure in own)
         heads.append(Head(over, under) if own[0].over else Head(own[0].heading[0].upper() + own[0].heading[1:]))
     return heads
 

@@ -275,8 +275,8 @@ def _add_memory(command: argparse.ArgumentParser) -> None:
         "--memory",
         type=float,
         metavar="GIB",
-        help="most memory (GiB) that the attack may take beyond what the program holds anyway; sets how much is done at "
-        f"a time, never what comes out (default: {100 * SHARE:g} %% of what is free)",
+        help="most memory that the attack may take beyond what the program holds anyway; sets how much is done at a "
+        f"time, never what comes out (default: {100 * SHARE:g} %% of what is free)",
     )
 
 

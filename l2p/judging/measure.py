@@ -70,7 +70,8 @@ class Figure:
     page : bool
         Whether it is a column of an audit's page.
     over, under : str
-        Heading of several columns of the page, and of this one below it; without these, ``heading``.
+        Heading of several columns of the page, and of this one below it, the key of its group when left out; without
+        ``over``, ``heading`` is that of the column.
     note : str
         A sentence for the page.
     compared : str
@@ -88,6 +89,11 @@ class Figure:
     under: str = ""
     note: str = ""
     compared: str = ""
+
+    @property
+    def column(self) -> str:
+        """Heading below ``over``."""
+        return self.under or (self.group[1] if self.group else self.heading)
 
 
 @dataclass(frozen=True)
@@ -139,31 +145,23 @@ def _accuracy(outcome: Outcome) -> dict[str, Value]:
 
 
 def _within(limit: float) -> Figure:
+    one = limit == 1
+    note = "Recovered within: share of the published points that come out at most so far from their true place."
     return Figure(
         f"within_{limit:g}",
-        f"within {limit:g} {'spacing' if limit == 1 else 'spacings'}",
+        f"within {limit:g} {'spacing' if one else 'spacings'}",
         Form.SHARE,
         group=("within_spacings", f"{limit:g}"),
         page=limit <= 2,
         over="Recovered within … spacings",
-        under=f"{limit:g}",
-        note=""
-        if limit != 1
-        else "Recovered within: share of the published points that come out at most so far from their true place.",
-        compared="within 1 spacing" if limit == 1 else "",
+        note=note if one else "",
+        compared="within 1 spacing" if one else "",
     )
 
 
 def _within_cm(limit: float) -> Figure:
-    return Figure(
-        f"within_{limit:g}_cm",
-        f"within {limit:g} cm",
-        Form.SHARE,
-        need=Need.METRIC,
-        group=("within_cm", f"{limit:g}"),
-        over="Recovered within … cm",
-        under=f"{limit:g}",
-    )
+    name, group, over = f"within_{limit:g}_cm", ("within_cm", f"{limit:g}"), "Recovered within … cm"
+    return Figure(name, f"within {limit:g} cm", Form.SHARE, need=Need.METRIC, group=group, over=over)
 
 
 ACCURACY = Measure(
@@ -235,32 +233,18 @@ def _neighbours(outcome: Outcome) -> dict[str, Value]:
     recovery = outcome.recovery
     assert recovery.neighbors is not None
     found = neighbor_scores(recovery.neighbors, outcome.truth.xyz, recovery.affinity, outcome.right)
-    return {
-        "neighbor_precision": found.precision,
-        "under_half_outliers": found.under_half_outliers,
-        "neighbors_used": found.used,
-    }
+    return dict(zip((figure.name for figure in NEIGHBOURS.figures), found, strict=True))
+
+
+def _of_neighbours(name: str, heading: str, form: Form, compared: str = "") -> Figure:
+    return Figure(name, heading, form, need=Need.NEIGHBORS, page=False, compared=compared)
 
 
 NEIGHBOURS = Measure(
     (
-        Figure(
-            "neighbor_precision",
-            "neighbour precision",
-            Form.SHARE,
-            need=Need.NEIGHBORS,
-            page=False,
-            compared="neighbour precision",
-        ),
-        Figure(
-            "under_half_outliers",
-            "lines under 50 % outliers",
-            Form.SHARE,
-            need=Need.NEIGHBORS,
-            page=False,
-            compared="lines under 50 % outliers",
-        ),
-        Figure("neighbors_used", "neighbours used", need=Need.NEIGHBORS, page=False),
+        _of_neighbours("neighbor_precision", "neighbour precision", Form.SHARE, "neighbour precision"),
+        _of_neighbours("under_half_outliers", "lines under 50 % outliers", Form.SHARE, "lines under 50 % outliers"),
+        _of_neighbours("neighbors_used", "neighbours used", Form.NUMBER),
     ),
     _neighbours,
 )

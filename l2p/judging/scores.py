@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from l2p.judging.accuracy import compare
-from l2p.judging.measure import Figure, Value, figures, measured
+from l2p.judging.measure import Value, figures, measured
 from l2p.maps.recovery import Recovery
 from l2p.maps.truth import Truth
 
@@ -50,26 +50,16 @@ class Scores:
     def __getattr__(self, name: str) -> Any:
         if name in self.__dict__.get("figures", {}):
             return self.figures[name]
-        group = self._group(name)
+        group = {figure.group[1]: figure.name for figure in figures() if figure.group and figure.group[0] == name}
         if not group:
             raise AttributeError(f"scores have no figure {name!r}")
-        return {key: value for key, value in group.items() if value is not None}
+        return {key: self.figures[own] for key, own in group.items() if self.figures[own] is not None}
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for a JSON file; None where there is no figure or no finite one."""
-        plain: dict[str, Any] = {}
-        for figure in figures():
-            if figure.group is None:
-                value = self.figures[figure.name]
-                plain[figure.name] = None if value is None or not np.isfinite(value) else value
-            else:
-                plain[figure.group[0]] = getattr(self, figure.group[0])
-        return plain
-
-    def _group(self, name: str) -> dict[str, Value]:
-        """The figures of a group, by their keys in it."""
-        own: list[tuple[str, Figure]] = [(f.group[1], f) for f in figures() if f.group and f.group[0] == name]
-        return {key: self.figures[figure.name] for key, figure in own}
+        names = dict.fromkeys(figure.group[0] if figure.group else figure.name for figure in figures())
+        values = {name: getattr(self, name) for name in names}
+        return {name: None if value == np.inf else value for name, value in values.items()}
 
 
 def evaluate(
