@@ -20,7 +20,9 @@ from l2p.judging.accuracy import compare
 from l2p.maps.scene import Scene
 from l2p.programs.scenes import SceneSource, scene_at
 from l2p.show.colors import error_bar, error_colors
+from l2p.show.exhibit import Exhibit
 from l2p.show.pictures import Box, Camera, draw_points
+from l2p.show.stance import Stance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,8 +50,9 @@ class View:
 
     @classmethod
     def of(cls, scene: Scene, upright: bool) -> View:
-        """The view of a scene; ``upright`` says that its z is up, else its flattest direction is."""
-        turn = np.eye(3) if upright else _turn(scene)
+        """The view of a scene; ``upright`` says that its z is up, else up is as on pages."""
+        exhibit = Exhibit(points=scene.xyz, camera_centers=scene.camera_centers)
+        turn = np.eye(3) if upright else Stance.before(exhibit).axes
         xyz = scene.xyz @ turn.T
         low, high = np.quantile(xyz, (TAIL, 1 - TAIL), axis=0)
         beyond = REACH * (high - low)
@@ -144,32 +147,3 @@ def _rgb(name: str) -> tuple[float, float, float]:
     from matplotlib.colors import to_rgb
 
     return to_rgb(name)
-
-
-def _turn(scene: Scene) -> Float[np.ndarray, "3 3"]:
-    """Axes with z up, as well as points tell: across the flattest direction of the cameras, or else of the points.
-
-    Notes
-    -----
-    People hold cameras at one height. Which of both ends is up follows the two customs of SfM: z up in models that were
-    aligned, -y in others, where the world has the axes of a first image.
-    """
-    spread = [_axes(xyz) for xyz in (scene.camera_centers, scene.xyz) if xyz is not None and len(xyz) > 3]
-    if not spread:
-        return np.eye(3)
-    _, axes = min(spread, key=lambda found: found[0][0] / found[0][1])
-    up = axes[0]
-    customary = max(np.array([[0.0, 0, 1], [0.0, -1, 0]]), key=lambda custom: abs(custom @ up))
-    up = up if up @ customary > 0 else -up
-    first = axes[2] - (axes[2] @ up) * up
-    first = first / np.linalg.norm(first)
-    return np.stack([first, np.cross(up, first), up])
-
-
-def _axes(points: Float[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """Extents and axes of the main part of the points, the shortest first."""
-    apart = points - np.median(points, axis=0)
-    distance = np.linalg.norm(apart, axis=1)
-    apart = apart[distance <= np.quantile(distance, 0.9)]
-    extent, axes = np.linalg.eigh(apart.T @ apart)
-    return np.sqrt(np.maximum(extent, 1e-300)), axes.T
