@@ -30,8 +30,10 @@ from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import nearest_lines_to_lines, nearest_lines_to_points, nearest_points_to_lines
 from l2p.geometry.pairs import closest_points
-from l2p.judging.accuracy import errors, risk_coverage, spacing
+from l2p.judging.accuracy import SPACING_NEIGHBOR, errors, spacing
+from l2p.judging.confidence import risk_coverage
 from l2p.judging.references import CandidateOracle, LeaveOneOut, Oracle
+from l2p.show.colors import ERROR_LIMIT
 from l2p.show.pictures import Box
 
 IMAGES = Path(__file__).parent / "images"
@@ -39,9 +41,7 @@ POINTS, SEED = 5000, 3
 #: Neighbours of the paper's coarse stage, indoors.
 K = 250
 #: True neighbours, as the spacing and the bounds count them.
-TRUE = 50
-#: Errors from this many spacings on have one colour.
-LIMIT = 2.0
+TRUE = SPACING_NEIGHBOR
 GREY, BLUE, ORANGE, GREEN, RED = "#b8bec9", "#2563eb", "#ea7317", "#15803d", "#c81e3a"
 
 
@@ -325,7 +325,7 @@ def draw_rounds(room: Room) -> None:
         error = spacings_off(room, recovery)
         order = np.argsort(error)[::-1]
         points = panel.scatter(
-            *recovery.xyz[order, :2].T, s=2, c=error[order], cmap="plasma", vmin=0, vmax=LIMIT, linewidths=0
+            *recovery.xyz[order, :2].T, s=2, c=error[order], cmap="plasma", vmin=0, vmax=ERROR_LIMIT, linewidths=0
         )
         panel.set_title(f"{title}\n{(error <= 1).mean():.0%} within 1 spacing, median {np.median(error):.2f}")
     panels[3].scatter(*room.truth[:, :2].T, s=2, c="black", linewidths=0)
@@ -334,7 +334,7 @@ def draw_rounds(room: Room) -> None:
         panel.set(aspect="equal", xticks=[], yticks=[])
         panel.set(xlim=(box.low[0] - 0.3, box.high[0] + 0.3), ylim=(box.low[1] - 0.3, box.high[1] + 0.3))
     bar = figure.colorbar(points, ax=list(panels), location="bottom", shrink=0.4, aspect=40, pad=0.02)
-    bar.set_label(f"error, spacings ({LIMIT:g} or more has one colour)")
+    bar.set_label(f"error, spacings ({ERROR_LIMIT:g} or more has one colour)")
     save(figure, "rounds")
 
 

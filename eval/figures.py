@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from eval.contenders import PAPER_KIND
-from eval.mean_curves import SHARES, THRESHOLDS, pooled_reliability
+from eval.mean_curves import pooled_reliability
 from eval.result_tables import MEDIAN, SHARE, Column, distinct, pool_seed
 from eval.scoring import Row
+from l2p.judging.curves import SHARES, SHOWN, THRESHOLDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,8 +30,6 @@ class Drawing(NamedTuple):
     content: bytes
 
 
-#: Errors outside these say little: below lies the noise of the map, above any place in the scene.
-SHOWN = (0.02, 30)
 TICKS = (0.1, 1, 10)
 #: Inches of a legend's row, of what is beside a label, and of a letter of it; most entries in a row.
 LEGEND_ROW, LEGEND_KEY, LEGEND_LETTER, LEGEND_MOST = 0.18, 0.6, 0.075, 4
@@ -238,13 +237,16 @@ def _styles(methods: Sequence[str], knowing: Collection[str]) -> Styles:
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:
-    """A figure of its own, outside pyplot's state, that draws with Agg; at most three panels side by side."""
+    return empty_panels(count, count if count < 4 else 2 if count == 4 else 3, (3.6, 2.6))
+
+
+def empty_panels(count: int, columns: int, size: tuple[float, float], below: float = 0.0) -> tuple[Figure, list[Axes]]:
+    """A figure of its own, outside pyplot's state, that draws with Agg; ``size`` of a panel and ``below`` in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    columns = count if count < 4 else 2 if count == 4 else 3
     rows = -(-count // columns)
-    figure = Figure(figsize=(3.6 * columns, 2.6 * rows), layout="constrained")
+    figure = Figure(figsize=(size[0] * columns, size[1] * rows + below), layout="constrained")
     FigureCanvasAgg(figure)
     panels = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axes in panels[count:]:

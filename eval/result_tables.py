@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table as RichTable
 
 from eval.scoring import Row
 from l2p.errors import InputError
+from l2p.judging.measure import Form, arithmetic_mean, figures
+from l2p.show.tables import console
 
-#: Columns of a table when stdout is no terminal, whose width would be taken for 80.
-FILE_WIDTH = 140
 #: The line after a table in a file that is updated; the line before it is <!-- eval:RUN:TABLE -->.
 PLACE_END = "<!-- /eval -->"
-#: Errors of 0 (points that coincide) must not make a geometric mean 0.
-LEAST = 1e-6
 
 
 class Column(NamedTuple):
@@ -39,16 +35,6 @@ class Table(NamedTuple):
     title: str
     head: list[str]
     body: list[list[str]]
-
-
-def geometric_mean(values: Sequence[Any]) -> float:
-    """Of positive numbers."""
-    return float(np.exp(np.log(np.maximum(values, LEAST)).mean()))
-
-
-def arithmetic_mean(values: Sequence[Any]) -> float:
-    """Of any numbers."""
-    return float(np.mean(values))
 
 
 def decimals(value: float) -> str:
@@ -73,14 +59,16 @@ def _seconds(value: float) -> str:
     return f"{value:.1f}" if value < 100 else f"{value:.0f}"
 
 
-MEDIAN = Column("median (spacings)", "median_spacings", geometric_mean, decimals)
-SHARE = Column("within 1 spacing", "within_1", arithmetic_mean, percent)
-COLUMNS = (
-    MEDIAN,
-    SHARE,
-    Column("neighbour precision", "neighbor_precision", arithmetic_mean, percent),
-    Column("lines under 50 % outliers", "under_half_outliers", arithmetic_mean, percent),
-    Column("seconds", "seconds", arithmetic_mean, _seconds),
+def _columns() -> list[Column]:
+    """The figures that methods are compared by."""
+    forms = {Form.COUNT: "{:.0f}".format, Form.LENGTH: "{:.4g}".format, Form.SHARE: percent}
+    compared = [figure for figure in figures() if figure.compared]
+    columns = [Column(f.compared, f.name, f.pool, forms.get(f.form, decimals)) for f in compared]
+    return [*columns, Column("seconds", "seconds", arithmetic_mean, _seconds)]
+
+
+MEDIAN, SHARE = (
+    next(column for column in _columns() if column.name == name) for name in ("median_spacings", "within_1")
 )
 
 NOTE = (
@@ -93,14 +81,13 @@ NOTE = (
 
 def print_tables(found: Iterable[Table]) -> None:
     """Tables on stdout."""
-    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else FILE_WIDTH)
     for table in found:
         shown = RichTable(title=table.title)
         for i, heading in enumerate(table.head):
             shown.add_column(heading, no_wrap=i == 0)
         for row in table.body:
             shown.add_row(*row)
-        console.print(shown)
+        console().print(shown)
 
 
 class Image(NamedTuple):
@@ -202,15 +189,15 @@ def spread_of(rows: Iterable[Row]) -> str:
 
 def method_table(rows: Sequence[Row], fraction: float) -> Table:
     """Figures of each method over all scenes; how many scenes that are, where some are missing."""
-    scenes = len({row["scene"] for row in rows})
+    scenes, columns = len({row["scene"] for row in rows}), _columns()
     body = []
     for method in distinct(rows, "method"):
         own = [row for row in rows if row["method"] == method]
         there = len({row["scene"] for row in own})
         missing = "" if there == scenes else f" ({there} of {scenes} scenes)"
-        body.append([method + missing, *(pooled(own, column) for column in COLUMNS)])
+        body.append([method + missing, *(pooled(own, column) for column in columns)])
     title = f"{100 * fraction:g} % of the points, {scenes} scene{'s' if scenes > 1 else ''}"
-    return Table(f"{100 * fraction:g}%", title, ["method", *(column.heading for column in COLUMNS)], body)
+    return Table(f"{100 * fraction:g}%", title, ["method", *(column.heading for column in columns)], body)
 
 
 def scene_table(rows: Sequence[Row], fraction: float) -> Table:

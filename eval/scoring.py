@@ -8,19 +8,14 @@ import io
 from collections.abc import Iterable
 from typing import Any
 
-import numpy as np
-from jaxtyping import Bool, Float
-
 from eval.cells import Cell, Store, read_json, write_json
-from eval.mean_curves import SHARES, THRESHOLDS, curves_of, found_neighbors
+from eval.mean_curves import curves_of
 from l2p.io.atomic import atomic_file
 from l2p.io.recovery_files import load_recovery
-from l2p.judging.accuracy import compare, evaluate, neighbor_scores
-from l2p.maps.recovery import Recovery
+from l2p.judging.accuracy import compare
+from l2p.judging.curves import SHARES, THRESHOLDS
+from l2p.judging.measure import Figure, Need, figures, measured
 from l2p.programs.commits import source_digest
-
-#: Increase when a row gets other figures, so that old rows are scored again.
-ROW_VERSION = 2
 
 Row = dict[str, Any]
 
@@ -58,71 +53,30 @@ def write_results(store: Store, rows: list[Row], about: dict[str, Any]) -> None:
 
 
 def _stamp(cell: Cell, store: Store) -> str:
-    measures = f"{ROW_VERSION} {source_digest('judging')}"
+    measures = " ".join([*(figure.name for figure in _figures()), source_digest("judging")])
     return hashlib.sha256(store.record(cell).read_bytes() + measures.encode()).hexdigest()[:16]
+
+
+def _figures() -> list[Figure]:
+    """The columns of the table: scenes need not be in metres."""
+    return [figure for figure in figures() if figure.need is not Need.METRIC]
 
 
 def _row(cell: Cell, store: Store) -> Row:
     recovery, record = load_recovery(store.prediction(cell)), read_json(store.record(cell))
     found = compare(recovery, cell.hidden().truth)
-    scores, error = evaluate(recovery, found.truth), found.spacings
-    right = found_neighbors(recovery, found.truth)
+    values = measured(found)
     return {
         "scene": cell.scene.name,
         "kind": cell.scene.kind,
         "fraction": cell.fraction,
         "seed": cell.seed,
         "method": cell.contender.label,
-        "lines": scores.lines,
-        "spacing": scores.spacing,
-        "median": scores.median,
-        "mean": scores.mean,
-        "median_spacings": scores.median_spacings,
-        **{f"within_{limit}": share for limit, share in scores.within_spacings.items()},
-        **_confidence_figures(found.confidence, error <= 1, scores),
-        **_neighbor_figures(recovery, found.truth.xyz, right),
+        **{figure.name: values[figure.name] for figure in _figures()},
         "seconds": record["seconds"],
         "peak_gib": record.get("peak_gib"),
         "made": record["made"],
         "commit": record["commit"],
         "code": record["code"],
-        "curves": curves_of(found, right),
-    }
-
-
-def _confidence_figures(
-    confidence: Float[np.ndarray, " lines"], inside: Bool[np.ndarray, " lines"], scores: Any
-) -> Row:
-    """What the confidence is worth; nothing where it is the same for every line."""
-    if confidence.min() == confidence.max():
-        return dict.fromkeys(("confident_half", "confident_quarter", "calibration_error", "confidence_auc"))
-    return {
-        "confident_half": scores.confident_half,
-        "confident_quarter": scores.confident_quarter,
-        "calibration_error": scores.calibration_error,
-        "confidence_auc": ranking(confidence, inside),
-    }
-
-
-def ranking(confidence: Float[np.ndarray, " lines"], inside: Bool[np.ndarray, " lines"]) -> float | None:
-    """Area under the ROC curve: how often a line within 1 spacing is surer than one outside; None without both."""
-    from scipy.stats import rankdata
-
-    right = int(inside.sum())
-    wrong = len(inside) - right
-    if right == 0 or wrong == 0:
-        return None
-    return float((rankdata(confidence)[inside].sum() - right * (right + 1) / 2) / (right * wrong))
-
-
-def _neighbor_figures(
-    recovery: Recovery, truth: Float[np.ndarray, "lines 3"], right: Bool[np.ndarray, "lines k"] | None
-) -> Row:
-    if recovery.neighbors is None or right is None:
-        return dict.fromkeys(("neighbor_precision", "under_half_outliers", "neighbors_used"))
-    scores = neighbor_scores(recovery.neighbors, truth, recovery.affinity, right)
-    return {
-        "neighbor_precision": scores.precision,
-        "under_half_outliers": scores.under_half_outliers,
-        "neighbors_used": scores.used,
+        "curves": curves_of(found),
     }

@@ -5,30 +5,28 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from eval.cells import Cell, Store
 from eval.eval_config import Pictures
-from eval.figures import Drawing
+from eval.figures import Drawing, empty_panels
 from eval.scoring import Row
 from l2p.errors import InputError
 from l2p.io.recovery_files import load_recovery
 from l2p.judging.accuracy import compare
 from l2p.maps.scene import Scene
 from l2p.programs.scenes import SceneSource, scene_at
-from l2p.show.pictures import ERROR_LIMIT, Box, Camera, draw_points
+from l2p.show.colors import error_bar, error_colors
+from l2p.show.exhibit import Exhibit
+from l2p.show.pictures import Box, Camera, draw_points
+from l2p.show.stance import Stance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-#: Small errors are dark, large ones fade towards the white paper.
-ERROR_MAP = "plasma"
-#: The map's last colours would be lost on white.
-LAST = 0.9
 #: Colour of points without one.
 PLAIN = "#3d4a5c"
 #: Along each axis, the share of points on either side that does not set the box, and how far, in lengths of the rest,
@@ -52,8 +50,9 @@ class View:
 
     @classmethod
     def of(cls, scene: Scene, upright: bool) -> View:
-        """The view of a scene; ``upright`` says that its z is up, else its flattest direction is."""
-        turn = np.eye(3) if upright else _turn(scene)
+        """The view of a scene; ``upright`` says that its z is up, else up is as on pages."""
+        exhibit = Exhibit(points=scene.xyz, camera_centers=scene.camera_centers)
+        turn = np.eye(3) if upright else Stance.before(exhibit).axes
         xyz = scene.xyz @ turn.T
         low, high = np.quantile(xyz, (TAIL, 1 - TAIL), axis=0)
         beyond = REACH * (high - low)
@@ -99,16 +98,19 @@ def _picture(cells: Sequence[Cell], rows: Sequence[Row], store: Store, color: st
     size = float(np.clip(SIZE * np.sqrt(10_000 / len(truth)), *SIZES))
     limits = _limits(view, truth)
     across, upward = limits[1] - limits[0]
-    figure, panels = _panels(len(cells) + 1, float(np.clip(upward / across, *HEIGHTS)))
+    count, height = len(cells) + 1, float(np.clip(upward / across, *HEIGHTS))
+    columns = count if count < 5 else 3 if count < 7 else 4
+    figure, panels = empty_panels(count, columns, (4.2, 4.2 * height + 0.5), 0.7)
     _draw(panels[0], view, truth, paint, size, limits, f"true points\n{len(truth)} of {len(scene)}")
     for panel, cell, row in zip(panels[1:], cells, rows, strict=True):
         found = compare(load_recovery(store.prediction(cell)), behind)
         points = found.recovery.xyz
-        shade = paint if by_rgb else _error_colors(found.spacings)
+        shade = paint if by_rgb else error_colors(found.spacings, dark=False)
         heading = f"{cell.contender.label}\nmedian {row['median_spacings']:.2f}, {row['within_1']:.0%} within 1 spacing"
         _draw(panel, view, points, shade, size, limits, heading)
     if not by_rgb:
-        _scale(figure, panels)
+        place = {"location": "bottom", "shrink": 0.4, "aspect": 40, "pad": 0.02}
+        error_bar(figure, "error (spacings)", dark=False, ax=panels, **place)
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=110, facecolor="white", metadata={"Software": None})
     said = "in the colours of the true points" if by_rgb else "coloured by error"
@@ -141,75 +143,7 @@ def _limits(view: View, truth: Float[np.ndarray, "points 3"]) -> Float[np.ndarra
     return np.stack([low, high]) + 0.03 * (high - low) * [[-1], [1]]
 
 
-def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
-    """As many panels, ``height`` widths high each, in rows of similar length."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    columns = count if count < 5 else 3 if count < 7 else 4
-    rows = -(-count // columns)
-    figure = Figure(figsize=(4.2 * columns, (4.2 * height + 0.5) * rows + 0.7), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for panel in panels[count:]:
-        panel.remove()
-    return figure, panels[:count]
-
-
-def _scale(figure: Figure, panels: Sequence[Axes]) -> None:
-    """The colour bar of the errors, under the panels."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    mappable = ScalarMappable(Normalize(0, ERROR_LIMIT), _error_map())
-    bar = figure.colorbar(mappable, ax=list(panels), location="bottom", shrink=0.4, aspect=40, pad=0.02)
-    bar.set_ticks([0, ERROR_LIMIT / 2, ERROR_LIMIT], labels=["0", f"{ERROR_LIMIT / 2:g}", f"{ERROR_LIMIT:g} or more"])
-    bar.set_label("error (spacings)")
-    outline: Any = bar.outline
-    outline.set_visible(False)
-
-
-def _error_map() -> Any:
-    from matplotlib import colormaps
-    from matplotlib.colors import ListedColormap
-
-    return ListedColormap(colormaps[ERROR_MAP](np.linspace(0, LAST, 256)))
-
-
-def _error_colors(error: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points 4"]:
-    return _error_map()(np.clip(error / ERROR_LIMIT, 0, 1))
-
-
 def _rgb(name: str) -> tuple[float, float, float]:
     from matplotlib.colors import to_rgb
 
     return to_rgb(name)
-
-
-def _turn(scene: Scene) -> Float[np.ndarray, "3 3"]:
-    """Axes with z up, as well as points tell: across the flattest direction of the cameras, or else of the points.
-
-    Notes
-    -----
-    People hold cameras at one height. Which of both ends is up follows the two customs of SfM: z up in models that were
-    aligned, -y in others, where the world has the axes of a first image.
-    """
-    spread = [_axes(xyz) for xyz in (scene.camera_centers, scene.xyz) if xyz is not None and len(xyz) > 3]
-    if not spread:
-        return np.eye(3)
-    _, axes = min(spread, key=lambda found: found[0][0] / found[0][1])
-    up = axes[0]
-    customary = max(np.array([[0.0, 0, 1], [0.0, -1, 0]]), key=lambda custom: abs(custom @ up))
-    up = up if up @ customary > 0 else -up
-    first = axes[2] - (axes[2] @ up) * up
-    first = first / np.linalg.norm(first)
-    return np.stack([first, np.cross(up, first), up])
-
-
-def _axes(points: Float[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """Extents and axes of the main part of the points, the shortest first."""
-    apart = points - np.median(points, axis=0)
-    distance = np.linalg.norm(apart, axis=1)
-    apart = apart[distance <= np.quantile(distance, 0.9)]
-    extent, axes = np.linalg.eigh(apart.T @ apart)
-    return np.sqrt(np.maximum(extent, 1e-300)), axes.T

@@ -10,8 +10,9 @@ import numpy as np
 
 from eval.contenders import AttackContender, Contender, LeaveOneOutContender
 from eval.mean_curves import pooled_calibration_error
-from eval.result_tables import Column, Table, arithmetic_mean, decimals, distinct, geometric_mean, percent, pooled
+from eval.result_tables import Column, Table, decimals, distinct, percent, pooled
 from eval.scoring import Row
+from l2p.judging.measure import arithmetic_mean, geometric_mean
 
 #: Each ratio: its name, the figure, and the reference whose figure divides it.
 RATIOS = (

@@ -14,12 +14,10 @@ from jaxtyping import Float
 
 import l2p
 from l2p.judging.accuracy import errors, spacing
+from l2p.show.colors import ERROR_LIMIT
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-
-#: Errors of this many spacings and more have the darkest colour.
-WORST = 2.0
 
 
 def main() -> None:
@@ -74,7 +72,9 @@ def draw(
     panels[0].set_title("the map")
     # The right ones on top.
     order = np.argsort(-error)
-    shown = panels[1].scatter(*place[order].T, s=3, c=error[order], cmap="viridis_r", vmin=0, vmax=WORST, linewidths=0)
+    shown = panels[1].scatter(
+        *place[order].T, s=3, c=error[order], cmap="viridis_r", vmin=0, vmax=ERROR_LIMIT, linewidths=0
+    )
     panels[1].set_title("recovered from its line cloud")
     for panel in panels:
         panel.set(xlim=(low[0] - margin[0], high[0] + margin[0]), ylim=(low[1] - margin[1], high[1] + margin[1]))

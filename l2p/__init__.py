@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from l2p.auditing.report import save_report
     from l2p.errors import InputError
     from l2p.io.files import load, save
-    from l2p.judging.accuracy import evaluate
+    from l2p.judging.scores import evaluate
     from l2p.maps.lines import LineCloud
     from l2p.maps.recovery import Recovery
     from l2p.maps.scene import Scene
@@ -39,7 +39,7 @@ _HOME = {
     "Truth": "l2p.maps.truth",
     "__version__": "l2p.version",
     "audit": "l2p.auditing.audit",
-    "evaluate": "l2p.judging.accuracy",
+    "evaluate": "l2p.judging.scores",
     "hide": "l2p.schemes.hide",
     "lift": "l2p.schemes.hide",
     "load": "l2p.io.files",

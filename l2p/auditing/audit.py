@@ -16,10 +16,13 @@ from jaxtyping import Float, UInt8
 
 from l2p.attacks.run import recover
 from l2p.attacks.settings import DEFAULT_METHOD, owners_of
+from l2p.auditing import FRACTIONS
 from l2p.errors import InputError
-from l2p.judging.accuracy import Scores, errors, evaluate, spacing
-from l2p.judging.curves import COVERAGE, THRESHOLDS, Curves, measured, predicted
+from l2p.judging.accuracy import compare, spacing
+from l2p.judging.curves import SHARES, THRESHOLDS, Curves, measured_curves, predicted_curves
+from l2p.judging.measure import measured
 from l2p.judging.provenance import machine, versions
+from l2p.judging.scores import Scores
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
@@ -27,8 +30,6 @@ from l2p.maps.truth import Truth
 from l2p.schemes.hide import hide
 from l2p.work.progress import NO_PROGRESS, Progress
 
-#: Shares of the points that are lifted unless others are asked for, from the whole map to a very sparse one.
-FRACTIONS = (1.0, 0.5, 0.1, 0.05)
 #: Version of the layout of ``audit.json``.
 AUDIT_VERSION = 1
 
@@ -49,9 +50,11 @@ class Prediction:
     confident_half: float
 
     @classmethod
-    def of(cls, confidence: Float[np.ndarray, " lines"]) -> Prediction:
-        """Read off the confidences of one recovery."""
-        ordered = np.sort(confidence.astype(np.float64))[::-1]
+    def of(cls, recovery: Recovery) -> Prediction | None:
+        """Read off the confidences of a recovery; None if they only rank."""
+        if not recovery.calibrated:
+            return None
+        ordered = np.sort(recovery.confidence.astype(np.float64))[::-1]
         return cls(float(ordered.mean()), float(ordered[: (len(ordered) + 1) // 2].mean()))
 
 
@@ -150,8 +153,8 @@ class Audit:
             "method": self.method,
             "versions": versions(),
             "machine": {**machine(), "threads": torch.get_num_threads()},
-            "thresholds": list(THRESHOLDS),
-            "coverage": list(COVERAGE),
+            "thresholds": THRESHOLDS.tolist(),
+            "coverage": SHARES.tolist(),
             "trials": [_as_dict(trial) for trial in self.trials],
         }
 
@@ -246,25 +249,23 @@ def _trial(
     truth = replace(hidden.truth, spacing=scale)
     rgb = None if scene.rgb is None else scene.rgb[truth.index]
     recovery = _attack(hidden.map, fraction, settings, progress)
-    error = errors(recovery, truth) / scale
+    found = compare(recovery, truth, metric=metric)
     return Trial(
         fraction,
         hidden.map,
         recovery,
         truth,
         rgb,
-        evaluate(recovery, truth, metric=metric),
-        Prediction.of(recovery.confidence) if recovery.calibrated else None,
-        measured(error, recovery.confidence, calibrated=recovery.calibrated),
+        Scores(measured(found)),
+        Prediction.of(recovery),
+        measured_curves(found),
     )
 
 
 def _audit_lines(lines: LineCloud, settings: dict[str, Any], metric: bool, progress: Progress, name: str) -> Audit:
     """Attack a line cloud whose points nobody knows."""
     recovery = _attack(lines, 1.0, settings, progress)
-    curves = predicted(recovery.confidence) if recovery.calibrated else Curves([], [], [], [])
-    prediction = Prediction.of(recovery.confidence) if recovery.calibrated else None
-    trial = Trial(1.0, lines, recovery, None, lines.rgb, None, prediction, curves)
+    trial = Trial(1.0, lines, recovery, None, lines.rgb, None, Prediction.of(recovery), predicted_curves(recovery))
     return Audit(name, len(lines), spacing(recovery.xyz), (trial,), settings["method"], None, metric)
 
 

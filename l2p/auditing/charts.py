@@ -8,8 +8,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from l2p.auditing.audit import Audit, Trial
-from l2p.judging.curves import COVERAGE, THRESHOLDS
+from l2p.judging.curves import SHARES, SHOWN, THRESHOLDS
 from l2p.show.page.numbers import fraction, percent
 
 if TYPE_CHECKING:
@@ -58,7 +60,7 @@ def _distribution(audit: Audit) -> Chart:
         axes.axvline(1, color=_INK, linewidth=0.8, linestyle=(0, (1, 2)))
         for trial, style in _styled(audit):
             axes.plot(THRESHOLDS, trial.curves.within, **style)
-        axes.set(xscale="log", xlim=(THRESHOLDS[0], THRESHOLDS[-1]), ylim=(0, 1))
+        axes.set(xscale="log", xlim=SHOWN, ylim=(0, 1))
         ticks = (0.05, 0.25, 1, 5, 20)
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
@@ -79,11 +81,11 @@ def _distribution(audit: Audit) -> Chart:
 def _risk(audit: Audit) -> Chart:
     def draw(axes: Axes) -> None:
         for trial, style in _styled(audit):
-            axes.plot(COVERAGE, trial.curves.risk, **style)
+            axes.plot(SHARES, trial.curves.risk, **style)
         axes.set(xlim=(0, 1), ylim=(0, None), xlabel="points kept, most confident first", ylabel="of these, wrong")
         _percent_axis(axes.xaxis)
 
-    half = COVERAGE.index(0.5)
+    half = int(np.searchsorted(SHARES, 0.5))
     ends = "; ".join(f"{_of(trial.fraction)}: {percent(trial.curves.risk[half])}" for trial in audit.trials)
     expected = "" if audit.known else " This is what the confidence predicts; nothing was measured."
     return Chart(

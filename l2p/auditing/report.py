@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import datetime
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from l2p.auditing.charts import charts
 from l2p.auditing.words import headline, sparser, typical
 from l2p.io.atomic import atomic_folder
 from l2p.judging.accuracy import errors
+from l2p.judging.measure import Figure, Form, Need, figures
 from l2p.show.exhibit import Exhibit
 from l2p.show.page import MOST_POINTS
 from l2p.show.page.numbers import count, fraction, length, percent
@@ -21,7 +23,14 @@ from l2p.show.page.render import render
 
 #: What the folder holds.
 PAGE, FIGURES = FILES = ("index.html", "audit.json")
-_TABLE_SPACINGS = ("0.25", "0.5", "1", "2")
+#: How figures are printed on the page.
+_FORMS: dict[Form, Callable[[Any], str]] = {
+    Form.COUNT: count,
+    Form.LENGTH: "{:.4g}".format,
+    Form.SPACINGS: "{:.2f}".format,
+    Form.SHARE: percent,
+    Form.NUMBER: "{:.3f}".format,
+}
 
 
 class Head(NamedTuple):
@@ -73,8 +82,8 @@ def save_report(
         If the folder must not be replaced or cannot be written.
     """
     with atomic_folder(folder, overwrite=overwrite, replaceable=frozenset(FILES)) as place:
-        figures = figures_of(audit, command)
-        (place / FIGURES).write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        content = figures_of(audit, command)
+        (place / FIGURES).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
         (place / PAGE).write_bytes(report_page(audit, command, most_points))
 
 
@@ -127,46 +136,46 @@ def _tables(audit: Audit) -> list[Table]:
 
 
 def _measured_table(audit: Audit) -> Table:
-    heads = [Head("Points published"), Head("Lines"), Head("Median error (spacings)")]
-    heads += [Head("Recovered within … spacings", _TABLE_SPACINGS)]
-    note = (
-        "Recovered within: share of the published points that come out at most so far from their true place. Confident "
-        "half: the same of the half of the points that the attack is most confident of. "
-    )
-    if audit.calibrated:
-        heads += [Head("Within 1 spacing", ("confident half", "as predicted")), Head("Calibration error")]
-        note += (
-            "As predicted: what an attacker, who does not know the truth, would expect. Calibration error: mean gap "
-            "between the confidence and the share that is right, in groups of equal confidence; 0 is best."
-        )
-    else:
-        heads += [Head("Within 1 spacing", ("confident half",))]
-        note += f"The confidence of the method {audit.method} ranks points and is no probability."
-    heads += [Head("Seconds")]
-    return Table("By share of the points", heads, [_measured_row(trial) for trial in audit.trials], note)
-
-
-def _measured_row(trial: Trial) -> list[str]:
-    scores, prediction = trial.scores, trial.prediction
-    assert scores is not None
-    row = [fraction(trial.fraction), count(len(trial)), f"{scores.median_spacings:.2f}"]
-    row += [percent(scores.within_spacings[limit]) for limit in _TABLE_SPACINGS]
-    row += [percent(scores.confident_half)]
-    if prediction is not None:
-        row += [percent(prediction.within_spacing), f"{scores.calibration_error:.3f}"]
-    return [*row, f"{trial.seconds:.1f}"]
+    shown = [figure for figure in _shown(audit) if figure.need is not Need.METRIC]
+    note = " ".join(filter(None, (figure.note for figure in shown)))
+    if not audit.calibrated:
+        note += f" The confidence of the method {audit.method} ranks points and is no probability."
+    heads = [Head("Points published"), *_heads(shown), Head("Seconds")]
+    rows = [[*_row(trial, shown), f"{trial.seconds:.1f}"] for trial in audit.trials]
+    return Table("By share of the points", heads, rows, note)
 
 
 def _metric_table(audit: Audit) -> Table:
-    limits = list(audit.trials[0].scores.within_cm) if audit.trials[0].scores else []
-    rows = [
-        [fraction(trial.fraction), length(trial.scores.median, True)]
-        + [percent(share) for share in trial.scores.within_cm.values()]
-        for trial in audit.trials
-        if trial.scores is not None
-    ]
-    heads = [Head("Points published"), Head("Median error"), Head("Recovered within … cm", tuple(limits))]
+    shown = [figure for figure in _shown(audit) if figure.need is Need.METRIC]
+    rows = []
+    for trial in audit.trials:
+        assert trial.scores is not None
+        share, *values = _row(trial, shown)
+        rows.append([share, length(trial.scores.median, True), *values])
+    heads = [Head("Points published"), Head("Median error"), *_heads(shown)]
     return Table("In centimetres", heads, rows, "These lengths are right if the units of the map are metres.")
+
+
+def _shown(audit: Audit) -> list[Figure]:
+    """The figures of the page that some trial has."""
+    scores = [trial.scores.figures for trial in audit.trials if trial.scores]
+    return [each for each in figures() if each.page and any(found[each.name] is not None for found in scores)]
+
+
+def _heads(shown: Sequence[Figure]) -> list[Head]:
+    """A heading for each figure; neighbours with the same heading above them share it."""
+    heads = []
+    for over, group in groupby(shown, lambda figure: figure.over or figure.name):
+        own = list(group)
+        under = tuple(figure.column for figure in own)
+        heads.append(Head(over, under) if own[0].over else Head(own[0].heading[0].upper() + own[0].heading[1:]))
+    return heads
+
+
+def _row(trial: Trial, shown: Sequence[Figure]) -> list[str]:
+    assert trial.scores is not None
+    values = [(figure.form, trial.scores.figures[figure.name]) for figure in shown]
+    return [fraction(trial.fraction), *("-" if value is None else _FORMS[form](value) for form, value in values)]
 
 
 def _predicted_table(audit: Audit) -> Table:
@@ -185,8 +194,8 @@ def _predicted_table(audit: Audit) -> Table:
 def _facts(audit: Audit) -> list[tuple[str, str]]:
     """What was run, where and when."""
     settings = audit.trials[0].recovery.info["settings"]
-    figures = audit.as_dict()
-    where = figures["machine"]
+    made = audit.as_dict()
+    where = made["machine"]
     weights = f"{settings['checkpoint']}, SHA-256 begins with {settings['digest']}" if "checkpoint" in settings else ""
     memory = "" if where["memory_gib"] is None else f", {where['memory_gib']:g} GiB"
     facts = [
@@ -194,7 +203,7 @@ def _facts(audit: Audit) -> list[tuple[str, str]]:
         ("Method", audit.method),
         ("Checkpoint", weights),
         ("Seed of the line clouds", "" if audit.seed is None else str(audit.seed)),
-        ("Versions", ", ".join(f"{name} {version}" for name, version in figures["versions"].items())),
+        ("Versions", ", ".join(f"{name} {version}" for name, version in made["versions"].items())),
         ("Machine", f"{where['processor']}, {where['threads']} of {where['cores']} cores{memory}, {where['system']}"),
         ("Date", datetime.datetime.now(datetime.timezone.utc).date().isoformat()),
     ]

@@ -14,17 +14,18 @@ def headline(audit: Audit) -> str:
     trial = audit.trials[0]
     within, half = _figures(trial)
     spacing = f"1 spacing ({length(audit.spacing, audit.metric)})"
-    if within is None or half is None:
+    if within is None:
         return f"{count(len(trial))} points were recovered, but how many of them are right is not known."
     of = "points"
     if audit.known and trial.fraction < 1:
         of = f"published points ({fraction(trial.fraction)} of the map)"
-    if not audit.known:
+    if not audit.known and half is not None:
         return (
             f"About {percent(within)} of the {of} are expected to be recovered within {spacing}; among the most "
             f"confident half, {percent(half)}."
         )
-    return f"{percent(within)} of the {of} are recovered within {spacing}; {_knowledge(within, half)} of the time."
+    recovered = f"{percent(within)} of the {of} are recovered within {spacing}"
+    return f"{recovered}." if half is None else f"{recovered}; {_knowledge(within, half)} of the time."
 
 
 def _knowledge(within: float, half: float) -> str:

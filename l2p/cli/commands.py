@@ -21,8 +21,8 @@ from l2p.io.kinds import LINE_CLOUDS, kind_of
 from l2p.io.line_files import line_ending, load_lines, save_lines
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth, truth_bytes
-from l2p.judging.accuracy import evaluate as score
 from l2p.judging.accuracy import matched, spacing
+from l2p.judging.scores import evaluate as score
 from l2p.schemes.hide import hide
 from l2p.show.tables import print_info, print_scores
 from l2p.work.progress import terminal_progress

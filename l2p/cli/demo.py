@@ -11,7 +11,8 @@ from l2p.io.atomic import atomic_folder
 from l2p.io.line_files import save_lines
 from l2p.io.recovery_files import save_recovery
 from l2p.io.scene_files import load_scene, save_scene_ply, save_truth
-from l2p.judging.accuracy import Scores, errors, evaluate, spacing
+from l2p.judging.accuracy import errors, spacing
+from l2p.judging.scores import Scores, evaluate
 from l2p.schemes.hide import hide
 from l2p.show.pictures import Captions, draw_attack
 from l2p.show.tables import print_scores

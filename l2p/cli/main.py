@@ -8,11 +8,14 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from l2p.auditing import FRACTIONS
 from l2p.cli.flags import add_method
 from l2p.errors import InputError, LostProcessError, sentence
+from l2p.judging import CLEANING
 from l2p.schemes.scheme import DEFAULT_SCHEME, SCHEMES
 from l2p.show.page import MOST_POINTS
 from l2p.version import __version__
+from l2p.work.memory import SHARE
 
 #: Exit codes: a process that shared the work has died, the user's error, and Ctrl-C (128 + SIGINT).
 LOST, USER_ERROR, INTERRUPTED = 1, 2, 130
@@ -155,7 +158,9 @@ def _add_filters(recover: argparse.ArgumentParser) -> None:
     recover.add_argument(
         "--clean",
         action="store_true",
-        help="drop outliers among the recovered points in the same way (Open3D; 50 neighbours, then 25; 2 sigma)",
+        help="drop outliers among the recovered points in the same way (Open3D; "
+        + ", then ".join(f"{neighbors} neighbours, {sigma:g} sigma" for neighbors, sigma in CLEANING)
+        + ")",
     )
 
 
@@ -181,7 +186,8 @@ def _add_audit(commands: Any) -> None:
         type=float,
         nargs="+",
         metavar="F",
-        help="shares of the points to publish, in (0, 1] (default: 1 0.5 0.1 0.05); not with a line cloud",
+        help="shares of the points to publish, in (0, 1] "
+        f"(default: {' '.join(f'{share:g}' for share in FRACTIONS)}); not with a line cloud",
     )
     audit.add_argument(
         "--seed", type=_seed, default=0, metavar="S", help="seed of the line clouds (default: %(default)s)"
@@ -246,7 +252,7 @@ def _add_memory(command: argparse.ArgumentParser) -> None:
         type=float,
         metavar="GIB",
         help="most memory that the attack may take beyond what the program holds anyway; sets how much is done at a "
-        "time, never what comes out (default: four fifths of what is free)",
+        f"time, never what comes out (default: {100 * SHARE:g} %% of what is free)",
     )
 
 

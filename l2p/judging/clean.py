@@ -6,9 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from l2p.io.open3d import load_open3d
-
-#: Neighbours and standard deviations of the two passes (Chelani et al., CVPR 2021, reference code).
-PASSES = ((50, 2.0), (25, 2.0))
+from l2p.judging import CLEANING
 
 
 def inliers(xyz: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
@@ -20,7 +18,7 @@ def inliers(xyz: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
     """
     open3d = load_open3d()
     kept = np.arange(len(xyz))
-    for neighbors, deviations in PASSES:
+    for neighbors, deviations in CLEANING:
         if len(kept) < 3:
             break
         cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(xyz[kept]))

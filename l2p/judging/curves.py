@@ -1,4 +1,4 @@
-"""The curves of an attack, measured or predicted: error distribution, risk-coverage, calibration."""
+"""The curves of a recovery, measured or predicted: error distribution, risk-coverage, calibration, neighbours."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from l2p.judging.accuracy import reliability, risk_coverage
+from l2p.judging.accuracy import Outcome
+from l2p.judging.confidence import reliability, risk_coverage
+from l2p.judging.neighbours import affinity_precision
+from l2p.maps.recovery import Recovery
 
-#: Errors at which the distribution is given, in spacings: from the noise of a map to any place in the scene.
-THRESHOLDS = tuple(float(f"{value:.4g}") for value in np.geomspace(0.02, 30, 60))
-#: Shares of the points, most confident first, at which the risk is given.
-COVERAGE = tuple(round(0.02 * step, 2) for step in range(1, 51))
-#: Groups of equally many points, from the least to the most confident, in the calibration curve.
-GROUPS = 10
+#: Errors at which their distribution is given, in spacings.
+THRESHOLDS = np.geomspace(0.01, 100, 81)
+#: Errors that are drawn, in spacings: below lies the noise of a map, above any place in the scene.
+SHOWN = (0.02, 30)
+#: Shares of the points, or of the neighbours, at which curves are given: the most confident, the most affine first.
+SHARES = np.arange(1, 101) / 100
 
 
 @dataclass(frozen=True)
@@ -27,11 +30,11 @@ class Curves:
     within : list of float
         Share of points with an error of at most each of :data:`THRESHOLDS`; empty where the truth is not known.
     risk : list of float
-        Among the most confident points, as many as each of :data:`COVERAGE` says, the share more than 1 spacing off;
+        Among the most confident points, as many as each of :data:`SHARES` says, the share more than 1 spacing off;
         the expected share where the truth is not known; empty if there is neither.
     claimed, right : list of float
-        For each of :data:`GROUPS` groups of equal confidence the mean confidence and the share within 1 spacing;
-        empty where the truth is not known or the confidence is no probability.
+        In each bin of equally many points, from the least to the most confident, the mean confidence and the share
+        within 1 spacing; empty where the truth is not known or the confidence is no probability.
     """
 
     within: list[float]
@@ -44,25 +47,42 @@ class Curves:
         return asdict(self)
 
 
-def measured(
-    error: Float[np.ndarray, " lines"], confidence: Float[np.ndarray, " lines"], *, calibrated: bool
-) -> Curves:
-    """The curves of errors in spacings; ``calibrated`` says whether the confidence claims to be a probability."""
-    inside = error <= 1
-    within = [float((error <= limit).mean()) for limit in THRESHOLDS]
-    risk = _at_coverage(risk_coverage(confidence, inside)[1])
-    if not calibrated:
-        return Curves(within, risk, [], [])
-    groups = reliability(confidence, inside, GROUPS)
-    return Curves(within, risk, groups.confidence.tolist(), groups.inside.tolist())
+def measured_curves(found: Outcome) -> Curves:
+    """The curves of a recovery whose truth is known."""
+    within, risk = distribution(found.spacings), sampled_risk(found.confidence, found.inside)
+    bins = reliability(found.confidence, found.inside) if found.recovery.calibrated else None
+    claimed, right = ([], []) if bins is None else (bins.confidence.tolist(), bins.inside.tolist())
+    return Curves(within.tolist(), risk.tolist(), claimed, right)
 
 
-def predicted(confidence: Float[np.ndarray, " lines"]) -> Curves:
-    """What a calibrated confidence lets expect without the truth."""
-    ordered = np.sort(confidence.astype(np.float64))[::-1]
-    return Curves([], _at_coverage(np.cumsum(1 - ordered) / np.arange(1, len(ordered) + 1)), [], [])
+def predicted_curves(recovery: Recovery) -> Curves:
+    """What a calibrated confidence predicts without the truth; nothing if it only ranks."""
+    if not recovery.calibrated:
+        return Curves([], [], [], [])
+    ordered = np.sort(recovery.confidence.astype(np.float64))[::-1]
+    return Curves([], _at_shares(np.cumsum(1 - ordered) / np.arange(1, len(ordered) + 1)).tolist(), [], [])
 
 
-def _at_coverage(risk: Float[np.ndarray, " lines"]) -> list[float]:
-    """The risk at each coverage; of at least one point."""
-    return [float(risk[max(1, round(share * len(risk))) - 1]) for share in COVERAGE]
+def distribution(error: Float[np.ndarray, " points"]) -> Float[np.ndarray, " thresholds"]:
+    """Share of the errors (spacings) within each of ``THRESHOLDS``."""
+    return np.searchsorted(np.sort(error), THRESHOLDS, side="right") / len(error)
+
+
+def sampled_risk(
+    confidence: Float[np.ndarray, " points"], inside: Bool[np.ndarray, " points"]
+) -> Float[np.ndarray, " shares"]:
+    """Share of points beyond 1 spacing among the most confident share, at each of ``SHARES``."""
+    return _at_shares(risk_coverage(confidence, inside)[1])
+
+
+def sampled_precision(recovery: Recovery, right: Bool[np.ndarray, "lines k"]) -> Float[np.ndarray, " shares"]:
+    """Share of true ones among the most affine share of all neighbours, at each of ``SHARES``."""
+    assert recovery.neighbors is not None
+    used = recovery.neighbors >= 0
+    affinity = np.ones(used.shape) if recovery.affinity is None else recovery.affinity
+    return affinity_precision(affinity[used], right[used], SHARES) if used.any() else np.zeros(len(SHARES))
+
+
+def _at_shares(risk: Float[np.ndarray, " points"]) -> Float[np.ndarray, " shares"]:
+    """The risk at each of ``SHARES``, rounded up to a point."""
+    return risk[np.ceil(SHARES * len(risk) - 1e-9).astype(int) - 1]

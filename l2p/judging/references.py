@@ -22,11 +22,10 @@ from l2p.geometry.elements import Lines
 from l2p.geometry.nearest import nearest_points_to_lines
 from l2p.geometry.pairs import feet
 from l2p.geometry.points import nearest_neighbors
+from l2p.judging.accuracy import SPACING_NEIGHBOR
 from l2p.work.work import Work
 
-#: The neighbour whose median distance is a spacing.
-SPACING_NEIGHBOR = 50
-#: Kernel widths that the leave-one-out bound tries, as shares of the median distance to the 50th point.
+#: Kernel widths that the leave-one-out bound tries, in spacings.
 BANDWIDTHS = (0.125, 0.25, 0.5, 1.0)
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from l2p.maps.lines import LineCloud
 from l2p.maps.scene import Scene
+from l2p.show.colors import error_bar, error_colors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,10 +23,6 @@ TEXT = "#e8ebf0"
 FAINT = "#98a2b3"
 FRAME = "#4a5568"
 LINE_DARK, LINE_LIGHT = np.array([[0.18, 0.32, 0.62], [0.85, 0.93, 1.0]])
-#: Matplotlib's colour map of errors: small ones are bright, large ones close to the background.
-ERROR_MAP = "plasma_r"
-#: Errors of this many spacings and more have one colour.
-ERROR_LIMIT = 2.0
 
 #: Azimuth and elevation of the camera, radians: above the corner of largest x and least y, to show the other two walls.
 VIEW = (np.radians(-52), np.radians(36))
@@ -151,7 +148,7 @@ def draw_attack(
     draw_points(panels[0], camera, scene.xyz[kept], _brightened(rgb[kept]))
     _draw_lines(panels[1], camera.project(box.segments(lines))[0])
     kept = box.contains(recovered)
-    draw_points(panels[2], camera, recovered[kept], _error_colors(error[kept]))
+    draw_points(panels[2], camera, recovered[kept], error_colors(error[kept], dark=True))
     _draw_scale(figure, captions.error)
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=100, facecolor=BACKGROUND)
@@ -207,23 +204,11 @@ def _draw_lines(panel: Axes, segments: Float[np.ndarray, "segments 2 2"]) -> Non
 
 
 def _draw_scale(figure: Figure, label: str) -> None:
-    """Draw the colour bar of the errors under the third panel."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    axes = figure.add_axes((0.735, 0.085, 0.19, 0.018))
-    bar = figure.colorbar(ScalarMappable(Normalize(0, ERROR_LIMIT), ERROR_MAP), cax=axes, orientation="horizontal")
-    bar.set_ticks([0, ERROR_LIMIT / 2, ERROR_LIMIT], labels=["0", f"{ERROR_LIMIT / 2:g}", f"{ERROR_LIMIT:g} or more"])
+    """The colour bar of the errors, under the third panel."""
+    place = figure.add_axes((0.735, 0.085, 0.19, 0.018))
+    bar = error_bar(figure, label, dark=True, cax=place, orientation="horizontal")
     bar.ax.tick_params(colors=FAINT, labelsize=11.5, length=0)
-    bar.set_label(label, color=FAINT, fontsize=12)
-    outline: Any = bar.outline
-    outline.set_visible(False)
-
-
-def _error_colors(error: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points 4"]:
-    from matplotlib import colormaps
-
-    return colormaps[ERROR_MAP](np.clip(error / ERROR_LIMIT, 0, 1))
+    bar.ax.xaxis.label.set(color=FAINT, fontsize=12)
 
 
 def _brightened(rgb: UInt8[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:

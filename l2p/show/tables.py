@@ -17,21 +17,29 @@ from l2p.io.kinds import LINE_CLOUDS, SCENES, Kind, kind_of
 from l2p.io.line_files import load_lines
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
-from l2p.judging.accuracy import Scores
+from l2p.judging.measure import Form, figures
+from l2p.judging.scores import Scores
 
 if TYPE_CHECKING:
     from l2p.attacks.learned.checkpoint import Checkpoint
 
 #: Columns of a wide table when stdout is no terminal, whose width would be taken for 80.
-_FILE_WIDTH = 140
+FILE_WIDTH = 140
+
+#: How figures are printed.
+_FORMS = {Form.COUNT: "d", Form.LENGTH: ".4g", Form.SPACINGS: ".3f", Form.SHARE: ".1%", Form.NUMBER: ".3f"}
 
 
 def print_scores(columns: dict[str, Scores]) -> None:
     """The figures of each column, on stdout."""
     table = Table(*("", *columns), title="error of the recovered points")
-    for row in zip(*(_score_rows(scores) for scores in columns.values()), strict=True):
-        table.add_row(row[0][0], *(value for _, value in row))
-    _console().print(table)
+    for figure in figures():
+        values = [scores.figures[figure.name] for scores in columns.values()]
+        if any(value is not None for value in values):
+            table.add_row(
+                figure.heading, *("-" if value is None else format(value, _FORMS[figure.form]) for value in values)
+            )
+    console().print(table)
 
 
 def print_info(path: str | PathLike[str]) -> None:
@@ -55,33 +63,13 @@ def print_info(path: str | PathLike[str]) -> None:
         rows = _describe(path, kind)
     for what, value in rows:
         table.add_row(what, escape(value))
-    console = _console()
     for each in tables:
-        console.print(each)
+        console().print(each)
 
 
-def _console() -> Console:
-    return Console(file=sys.stdout, width=None if sys.stdout.isatty() else _FILE_WIDTH)
-
-
-def _score_rows(scores: Scores) -> list[tuple[str, str]]:
-    rows = [
-        ("lines", str(scores.lines)),
-        ("spacing (scene units)", f"{scores.spacing:.4g}"),
-        ("median error (scene units)", f"{scores.median:.4g}"),
-        ("mean error (scene units)", f"{scores.mean:.4g}"),
-        ("median error (spacings)", f"{scores.median_spacings:.3f}"),
-        *((f"within {limit} {_spacings(limit)}", f"{share:.1%}") for limit, share in scores.within_spacings.items()),
-        *((f"within {limit} cm", f"{share:.1%}") for limit, share in scores.within_cm.items()),
-        ("most confident half within 1 spacing", f"{scores.confident_half:.1%}"),
-        ("most confident quarter within 1 spacing", f"{scores.confident_quarter:.1%}"),
-    ]
-    error = scores.calibration_error
-    return rows if error is None else [*rows, ("calibration error", f"{error:.3f}")]
-
-
-def _spacings(limit: str) -> str:
-    return "spacing" if limit == "1" else "spacings"
+def console() -> Console:
+    """Stdout, also when it is no terminal, wide enough for tables."""
+    return Console(file=sys.stdout, width=None if sys.stdout.isatty() else FILE_WIDTH)
 
 
 def _describe(path: str | PathLike[str], kind: Kind) -> Sequence[tuple[str, str]]:

@@ -13,7 +13,9 @@ import l2p
 from l2p.auditing import report
 from l2p.auditing.audit import FRACTIONS
 from l2p.auditing.words import headline, sparser, typical
-from l2p.judging.curves import COVERAGE, THRESHOLDS
+from l2p.judging.confidence import BINS
+from l2p.judging.curves import SHARES, THRESHOLDS
+from l2p.judging.scores import Scores
 from l2p.show.page.numbers import length
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&amp;"
@@ -136,9 +138,10 @@ def test_curves_agree_with_the_scores(found):
         below, above = np.searchsorted(THRESHOLDS, 1) - 1, np.searchsorted(THRESHOLDS, 1)
         assert curves.within[below] <= scores.within_spacings["1"] <= curves.within[above]
         assert curves.risk[-1] == pytest.approx(1 - scores.within_spacings["1"])
-        assert curves.risk[COVERAGE.index(0.5)] == pytest.approx(1 - scores.confident_half)
+        assert curves.risk[np.searchsorted(SHARES, 0.5)] == pytest.approx(1 - scores.confident_half)
         assert np.all(np.diff(curves.claimed) >= 0)
-        assert np.mean(curves.right) == pytest.approx(scores.within_spacings["1"])
+        size = [len(part) for part in np.array_split(np.arange(len(trial)), BINS)]
+        assert np.average(curves.right, weights=size) == pytest.approx(scores.within_spacings["1"])
 
 
 def test_figures_are_plain_and_complete(found):
@@ -151,10 +154,10 @@ def test_figures_are_plain_and_complete(found):
         assert part["attack"]["seconds"] > 0
 
 
-def told(found: l2p.Audit, within: float, half: float) -> l2p.Audit:
+def told(found: l2p.Audit, within: float, half: float | None) -> l2p.Audit:
     """The audit with other figures."""
     trials = [
-        replace(trial, scores=replace(trial.scores, within_spacings={"1": within}, confident_half=half))
+        replace(trial, scores=Scores(trial.scores.figures | {"within_1": within, "confident_half": half}))
         for trial in found.trials
         if trial.scores is not None
     ]
@@ -175,6 +178,7 @@ def test_headline_says_the_figures_in_plain_words(found, within, half, words):
     sentence = headline(metric).replace("\N{NO-BREAK SPACE}", " ")
     assert sentence == f"{100 * within:.0f} % of the points are recovered within 1 spacing (4.1 cm); {words}"
     assert "scene units" in headline(replace(metric, metric=False))
+    assert headline(told(metric, within, None)).endswith("recovered within 1 spacing (4.1\N{NO-BREAK SPACE}cm).")
 
 
 def test_a_map_in_metres_tells_what_is_typical(found):

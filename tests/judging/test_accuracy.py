@@ -10,17 +10,10 @@ import pytest
 
 from l2p.errors import InputError
 from l2p.geometry.points import nearest_neighbors
-from l2p.judging.accuracy import (
-    affinity_precision,
-    calibration_error,
-    errors,
-    evaluate,
-    neighbor_scores,
-    reliability,
-    right_neighbors,
-    risk_coverage,
-    spacing,
-)
+from l2p.judging.accuracy import errors, spacing
+from l2p.judging.confidence import calibration_error, ranking, reliability, risk_coverage
+from l2p.judging.neighbours import affinity_precision, neighbor_scores, right_neighbors
+from l2p.judging.scores import evaluate
 from l2p.maps.recovery import Recovery
 
 
@@ -120,7 +113,7 @@ def test_the_confident_part_is_scored_apart():
 def test_one_line_can_be_scored():
     scores = evaluate(recovery_of(np.zeros((1, 3))), np.ones((1, 3)), spacing=1.0)
     assert scores.median == pytest.approx(np.sqrt(3))
-    assert scores.confident_half == scores.confident_quarter == 0
+    assert scores.confident_half is scores.confident_quarter is None, "nobody is surer of it than of others"
 
 
 def test_scores_are_plain_values():
@@ -170,6 +163,15 @@ def test_risk_coverage_keeps_the_confident_first():
     np.testing.assert_allclose(risk, [0, 0, 1 / 3, 0.5])
 
 
+def test_ranking_is_the_share_of_pairs_in_order(rng: np.random.Generator) -> None:
+    confidence = rng.integers(0, 5, 60) / 4
+    inside = rng.random(60) < 0.3 + 0.4 * confidence
+    right, wrong = confidence[inside], confidence[~inside]
+    pairs = (right[:, None] > wrong).mean() + 0.5 * (right[:, None] == wrong).mean()
+    assert ranking(confidence, inside) == pytest.approx(pairs)
+    assert ranking(confidence, np.ones(60, dtype=bool)) is None
+
+
 def test_true_neighbours_have_precision_one():
     points = np.random.default_rng(0).normal(size=(300, 3))
     for k in (1, 10, 299):
@@ -195,11 +197,7 @@ def test_missing_neighbours_lower_the_k_they_are_judged_at():
     neighbors[:150] = -1
     assert neighbor_scores(neighbors, points).precision == 1
     assert neighbor_scores(neighbors, points).used == 2.5
-    assert neighbor_scores(np.full((300, 4), -1), points).as_dict() == {
-        "precision": 0.0,
-        "under_half_outliers": 0.0,
-        "used": 0.0,
-    }
+    assert neighbor_scores(np.full((300, 4), -1), points) == (0, 0, 0)
 
 
 def test_affinities_weight_the_precision():

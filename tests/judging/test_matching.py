@@ -10,7 +10,8 @@ import pytest
 
 import l2p
 from l2p.errors import InputError
-from l2p.judging.accuracy import compare, errors, evaluate, matched
+from l2p.judging.accuracy import compare, errors, matched
+from l2p.judging.scores import evaluate
 
 
 def recovery_of(xyz: np.ndarray, element: np.ndarray | None = None) -> l2p.Recovery:

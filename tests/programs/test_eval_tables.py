@@ -13,21 +13,18 @@ pytest.importorskip("hydra", reason="the evaluation program needs the extra trai
 
 from eval.contenders import contenders_of
 from eval.figures import draw_figures
-from eval.mean_curves import (
+from eval.mean_curves import pooled_calibration_error, pooled_reliability, sampled_reliability
+from eval.result_tables import document, method_table, overview, tables, updated
+from eval.targets import References, target_table, with_ratios
+from l2p.errors import InputError
+from l2p.judging.confidence import calibration_error
+from l2p.judging.curves import (
     SHARES,
     THRESHOLDS,
     distribution,
-    pooled_calibration_error,
-    pooled_reliability,
     sampled_precision,
-    sampled_reliability,
     sampled_risk,
 )
-from eval.result_tables import document, method_table, overview, tables, updated
-from eval.scoring import ranking
-from eval.targets import References, target_table, with_ratios
-from l2p.errors import InputError
-from l2p.judging.accuracy import calibration_error
 from l2p.maps.recovery import Recovery
 
 REFERENCES = References("heuristic", "LOO", frozenset({"LOO"}))
@@ -69,15 +66,6 @@ def test_a_method_without_some_scenes_says_so() -> None:
 def test_distribution_counts_errors(rng: np.random.Generator) -> None:
     error = rng.lognormal(size=200)
     assert np.array_equal(distribution(error), [(error <= limit).mean() for limit in THRESHOLDS])
-
-
-def test_ranking_is_the_share_of_pairs_in_order(rng: np.random.Generator) -> None:
-    confidence = rng.integers(0, 5, 60) / 4
-    inside = rng.random(60) < 0.3 + 0.4 * confidence
-    right, wrong = confidence[inside], confidence[~inside]
-    pairs = (right[:, None] > wrong).mean() + 0.5 * (right[:, None] == wrong).mean()
-    assert ranking(confidence, inside) == pytest.approx(pairs)
-    assert ranking(confidence, np.ones(60, dtype=bool)) is None
 
 
 def test_scenes_count_alike_in_the_pooled_calibration(rng: np.random.Generator) -> None:

@@ -142,7 +142,7 @@ def test_the_share_that_is_published_can_be_chosen(opened):
 def test_the_confidence_slider_hides_points_and_counts_the_rest(opened, found):
     trial = found.trials[0]
     confidence, drawn = trial.recovery.confidence.astype(float), opened.drawn()
-    inside = np.linalg.norm(trial.recovery.xyz - trial.truth, axis=1) <= found.spacing
+    inside = np.linalg.norm(trial.recovery.xyz - trial.truth.xyz, axis=1) <= found.spacing
     level = int(100 * np.quantile(confidence, 0.7))
     opened.slide("floor", level)
     kept = confidence >= level / 100
@@ -360,8 +360,8 @@ def test_views_of_files(browser, found, tmp_path):
     trial = found.trials[0]
     ranked = Exhibit(recovered=trial.recovery.xyz, confidence=trial.recovery.confidence)
     exhibits = {
-        "points": (Exhibit(points=trial.truth), "1,500 points."),
-        "coloured": (Exhibit(points=trial.truth, rgb=trial.rgb), "1,500 points."),
+        "points": (Exhibit(points=trial.truth.xyz), "1,500 points."),
+        "coloured": (Exhibit(points=trial.truth.xyz, rgb=trial.rgb), "1,500 points."),
         "lines": (Exhibit(lines=trial.lines), "1,500 lines."),
         "recovered": (ranked, "1,500 recovered points."),
     }

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from l2p.maps.lines import LineCloud
+from l2p.show.colors import ERROR_LIMIT
 from l2p.show.exhibit import Exhibit
 from l2p.show.page import MOST_POINTS
 from l2p.show.stance import Stance
@@ -18,8 +19,6 @@ from l2p.show.stance import Stance
 MOST_LINES = 4_000
 #: Steps of the confidence slider.
 LEVELS = 100
-#: Errors of this many spacings and more have one colour.
-ERROR_LIMIT = 2.0
 
 
 def view_data(exhibits: Sequence[tuple[str, Exhibit]], most_points: int = MOST_POINTS) -> dict[str, Any]:

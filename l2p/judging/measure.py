@@ -1,0 +1,253 @@
+"""The figures of merit, each declared once: tables, pages, CSV and JSON read them from here.
+
+To add one, write a :class:`Measure` and enter it in ``MEASURES``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Any
+
+import numpy as np
+
+from l2p.judging.accuracy import CENTIMETRES, SPACINGS, Outcome
+from l2p.judging.confidence import calibration_error, most_confident, ranking
+from l2p.judging.neighbours import neighbor_scores
+
+#: Errors of 0 (points that coincide) must not make a geometric mean 0.
+LEAST = 1e-6
+
+Value = float | None
+
+
+def geometric_mean(values: Sequence[Any]) -> float:
+    """Of positive numbers."""
+    return float(np.exp(np.log(np.maximum(values, LEAST)).mean()))
+
+
+def arithmetic_mean(values: Sequence[Any]) -> float:
+    """Of any numbers."""
+    return float(np.mean(values))
+
+
+class Form(Enum):
+    """The kind of number that a figure is; every table prints a kind in its own way."""
+
+    COUNT = auto()
+    LENGTH = auto()  # scene units
+    SPACINGS = auto()
+    SHARE = auto()
+    NUMBER = auto()
+
+
+class Need(Enum):
+    """What a figure cannot be measured without."""
+
+    CALIBRATED = auto()  # a confidence that is a probability
+    RANKS = auto()  # a confidence that differs from point to point
+    METRIC = auto()  # a scene in metres
+    NEIGHBORS = auto()  # the neighbours that an attack used, of lines that hide a point each
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of merit.
+
+    Attributes
+    ----------
+    name : str
+        Column of a CSV, key of a JSON file.
+    heading : str
+        Row of a table of figures.
+    form : Form
+    pool : function
+        From the figures of several scenes to one.
+    need : Need or None
+    group : (str, str) or None
+        Object and key of a JSON file that has the figures of a group in an object of their own.
+    page : bool
+        Whether it is a column of an audit's page.
+    over, under : str
+        Heading of several columns of the page, and of this one below it, the key of its group when left out; without
+        ``over``, ``heading`` is that of the column.
+    note : str
+        A sentence for the page.
+    compared : str
+        Heading where methods are compared; empty: they are not compared by it.
+    """
+
+    name: str
+    heading: str
+    form: Form = Form.NUMBER
+    pool: Callable[[Sequence[Any]], float] = arithmetic_mean
+    need: Need | None = None
+    group: tuple[str, str] | None = None
+    page: bool = True
+    over: str = ""
+    under: str = ""
+    note: str = ""
+    compared: str = ""
+
+    @property
+    def column(self) -> str:
+        """Heading below ``over``."""
+        return self.under or (self.group[1] if self.group else self.heading)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """Figures that are measured together, by name; ``of`` may leave out those whose need is not met."""
+
+    figures: tuple[Figure, ...]
+    of: Callable[[Outcome], Mapping[str, Value]]
+
+
+def figures() -> list[Figure]:
+    """Every figure, in the order of the tables."""
+    return [figure for measure in MEASURES for figure in measure.figures]
+
+
+def measured(outcome: Outcome) -> dict[str, Value]:
+    """Every figure of a recovery by its name, None where its need is not met."""
+    met = _met(outcome)
+    found: dict[str, Value] = {}
+    for measure in MEASURES:
+        possible = [figure.name for figure in measure.figures if figure.need in met]
+        values = measure.of(outcome) if possible else {}
+        found |= {figure.name: values[figure.name] if figure.name in possible else None for figure in measure.figures}
+    return found
+
+
+def _met(outcome: Outcome) -> set[Need | None]:
+    needs = {
+        None: True,
+        Need.CALIBRATED: outcome.recovery.calibrated,
+        Need.RANKS: bool(outcome.confidence.min() < outcome.confidence.max()),
+        Need.METRIC: outcome.metric,
+        Need.NEIGHBORS: outcome.right is not None,
+    }
+    return {need for need, met in needs.items() if met}
+
+
+def _accuracy(outcome: Outcome) -> dict[str, Value]:
+    error, spacing = outcome.error, outcome.spacing
+    return {
+        "lines": len(error),
+        "spacing": spacing,
+        "median": float(np.median(error)),
+        "mean": float(error.mean()),
+        "median_spacings": float(np.median(error) / spacing),
+        **{f"within_{t:g}": float((error <= t * spacing).mean()) for t in SPACINGS},
+        **{f"within_{t:g}_cm": float((error <= t / 100).mean()) for t in CENTIMETRES},
+    }
+
+
+def _within(limit: float) -> Figure:
+    one = limit == 1
+    note = "Recovered within: share of the published points that come out at most so far from their true place."
+    return Figure(
+        f"within_{limit:g}",
+        f"within {limit:g} {'spacing' if one else 'spacings'}",
+        Form.SHARE,
+        group=("within_spacings", f"{limit:g}"),
+        page=limit <= 2,
+        over="Recovered within … spacings",
+        note=note if one else "",
+        compared="within 1 spacing" if one else "",
+    )
+
+
+def _within_cm(limit: float) -> Figure:
+    name, group, over = f"within_{limit:g}_cm", ("within_cm", f"{limit:g}"), "Recovered within … cm"
+    return Figure(name, f"within {limit:g} cm", Form.SHARE, need=Need.METRIC, group=group, over=over)
+
+
+ACCURACY = Measure(
+    (
+        Figure("lines", "lines", Form.COUNT),
+        Figure("spacing", "spacing (scene units)", Form.LENGTH, page=False),
+        Figure("median", "median error (scene units)", Form.LENGTH, geometric_mean, page=False),
+        Figure("mean", "mean error (scene units)", Form.LENGTH, geometric_mean, page=False),
+        Figure(
+            "median_spacings",
+            "median error (spacings)",
+            Form.SPACINGS,
+            geometric_mean,
+            compared="median (spacings)",
+        ),
+        *map(_within, SPACINGS),
+        *map(_within_cm, CENTIMETRES),
+    ),
+    _accuracy,
+)
+
+
+def _confidence(outcome: Outcome) -> dict[str, Value]:
+    confidence, inside = outcome.confidence, outcome.inside
+    return {
+        "confident_half": most_confident(confidence, inside, 2),
+        "confident_quarter": most_confident(confidence, inside, 4),
+        "expected_within": float(confidence.mean(dtype=np.float64)),
+        "calibration_error": calibration_error(confidence, inside),
+        "confidence_auc": ranking(confidence, inside),
+    }
+
+
+CONFIDENCE = Measure(
+    (
+        Figure(
+            "confident_half",
+            "most confident half within 1 spacing",
+            Form.SHARE,
+            need=Need.RANKS,
+            over="Within 1 spacing",
+            under="confident half",
+            note="Confident half: the same of the half of the points that the attack is most confident of.",
+        ),
+        Figure("confident_quarter", "most confident quarter within 1 spacing", Form.SHARE, need=Need.RANKS, page=False),
+        Figure(
+            "expected_within",
+            "within 1 spacing as predicted",
+            Form.SHARE,
+            need=Need.CALIBRATED,
+            over="Within 1 spacing",
+            under="as predicted",
+            note="As predicted: what an attacker, who does not know the truth, would expect.",
+        ),
+        Figure(
+            "calibration_error",
+            "calibration error",
+            need=Need.CALIBRATED,
+            note="Calibration error: mean gap between the confidence and the share that is right, in groups of equal "
+            "confidence; 0 is best.",
+        ),
+        Figure("confidence_auc", "right points ranked above wrong ones", need=Need.RANKS, page=False),
+    ),
+    _confidence,
+)
+
+
+def _neighbours(outcome: Outcome) -> dict[str, Value]:
+    recovery = outcome.recovery
+    assert recovery.neighbors is not None
+    found = neighbor_scores(recovery.neighbors, outcome.truth.xyz, recovery.affinity, outcome.right)
+    return dict(zip((figure.name for figure in NEIGHBOURS.figures), found, strict=True))
+
+
+def _of_neighbours(name: str, heading: str, form: Form, compared: str = "") -> Figure:
+    return Figure(name, heading, form, need=Need.NEIGHBORS, page=False, compared=compared)
+
+
+NEIGHBOURS = Measure(
+    (
+        _of_neighbours("neighbor_precision", "neighbour precision", Form.SHARE, "neighbour precision"),
+        _of_neighbours("under_half_outliers", "lines under 50 % outliers", Form.SHARE, "lines under 50 % outliers"),
+        _of_neighbours("neighbors_used", "neighbours used", Form.NUMBER),
+    ),
+    _neighbours,
+)
+
+#: Every measure, in the order of the tables.
+MEASURES: tuple[Measure, ...] = (ACCURACY, CONFIDENCE, NEIGHBOURS)

@@ -1,0 +1,105 @@
+"""The scores of a recovery: every figure of merit, measured against the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from l2p.judging.accuracy import compare
+from l2p.judging.measure import Value, figures, measured
+from l2p.maps.recovery import Recovery
+from l2p.maps.truth import Truth
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The figures of a recovery, each an attribute of its name; lengths in scene units unless they say spacings.
+
+    Attributes
+    ----------
+    figures : dict
+        Every figure by its name (:mod:`l2p.judging.measure`), None where there is none.
+    lines : int
+        Number of true points, which is that of the lines unless some hide two points or none.
+    spacing : float
+        Median distance to the 50th neighbour in the full true cloud.
+    median, mean : float
+        Of the error.
+    median_spacings : float
+        Median error over the spacing.
+    within_spacings, within_cm : dict
+        Share of points within each threshold; ``within_cm`` is empty unless the scene is metric.
+    confident_half, confident_quarter : float or None
+        Share within 1 spacing among the most confident half and quarter; None where all confidences are equal.
+    expected_within : float or None
+        Mean confidence, which is the share within 1 spacing that it predicts; None where it only ranks.
+    calibration_error : float or None
+        Expected calibration error of the confidence as the probability of lying within 1 spacing, in 15 bins of
+        equal size; None where the confidence only ranks.
+    confidence_auc : float or None
+        How often a point within 1 spacing has the greater confidence than one outside.
+    neighbor_precision, under_half_outliers, neighbors_used : float or None
+        Of :class:`l2p.judging.neighbours.NeighborScores`; None without neighbours.
+    """
+
+    figures: dict[str, Value]
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self.__dict__.get("figures", {}):
+            return self.figures[name]
+        group = {figure.group[1]: figure.name for figure in figures() if figure.group and figure.group[0] == name}
+        if not group:
+            raise AttributeError(f"scores have no figure {name!r}")
+        return {key: self.figures[own] for key, own in group.items() if self.figures[own] is not None}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for a JSON file; None where there is no figure or no finite one."""
+        names = dict.fromkeys(figure.group[0] if figure.group else figure.name for figure in figures())
+        values = {name: getattr(self, name) for name in names}
+        return {name: None if value == np.inf else value for name, value in values.items()}
+
+
+def evaluate(
+    recovery: Recovery,
+    truth: Truth | Float[np.ndarray, "lines 3"],
+    spacing: float | None = None,
+    metric: bool = False,
+) -> Scores:
+    """Score a recovery against the true points.
+
+    Parameters
+    ----------
+    recovery : Recovery
+    truth : Truth or (lines, 3) array
+        True points; those of an array are in the order of the lines.
+    spacing : float, optional
+        Of the full true cloud, scene units. When left out, that of the truth; where this is not measured, that of the
+        true points, which is right only if all points were hidden.
+    metric : bool
+        The scene is in metres: give the shares within centimetres, too.
+
+    Returns
+    -------
+    Scores
+
+    Raises
+    ------
+    InputError
+        If the truth has other lines than the recovery.
+
+    Notes
+    -----
+    Every true point counts once. One without a recovered row has an infinite error and confidence 0.
+
+    Examples
+    --------
+    >>> import l2p
+    >>> hidden = l2p.hide(l2p.simulate("room", 200), seed=0)
+    >>> scores = l2p.evaluate(l2p.recover(hidden.map, method="tomography"), hidden.truth)
+    >>> scores.lines, 0 <= scores.within_spacings["1"] <= 1
+    (200, True)
+    """
+    return Scores(measured(compare(recovery, truth, spacing, metric)))
