@@ -31,7 +31,7 @@ from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import nearest_lines_to_lines, nearest_lines_to_points, nearest_points_to_lines
 from l2p.geometry.pairs import closest_points
 from l2p.judging.accuracy import SPACING_NEIGHBOR, errors, spacing
-from l2p.judging.confidence import risk_coverage
+from l2p.judging.calibration import risk_coverage
 from l2p.judging.references import CandidateOracle, LeaveOneOut, Oracle
 from l2p.show.colors import ERROR_LIMIT
 from l2p.show.pictures import Box

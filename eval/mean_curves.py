@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from l2p.judging.accuracy import Outcome
-from l2p.judging.confidence import BINS, reliability
+from l2p.judging.calibration import BINS, reliability
 from l2p.judging.curves import distribution, sampled_precision, sampled_risk
 
 #: Bins of a scene's own reliability: ten times as fine as those of the pooled one, so that scenes can be merged.

@@ -7,6 +7,7 @@ Blocks of a page run in its order, in a folder with small files under the names 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import re
 import shlex
 import shutil

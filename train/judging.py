@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from l2p.attacks.learned.learned import Learned
-from l2p.judging.confidence import calibration_error
+from l2p.judging.calibration import calibration_error
 from train.clouds import Cloud, CloudSource
 
 

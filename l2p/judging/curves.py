@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from l2p.judging.accuracy import Outcome
-from l2p.judging.confidence import reliability, risk_coverage
+from l2p.judging.calibration import reliability, risk_coverage
 from l2p.judging.neighbours import affinity_precision
 from l2p.maps.recovery import Recovery
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from l2p.judging.accuracy import CENTIMETRES, SPACINGS, Outcome
-from l2p.judging.confidence import calibration_error, most_confident, ranking
+from l2p.judging.calibration import calibration_error, most_confident, ranking
 from l2p.judging.neighbours import neighbor_scores
 
 #: Errors of 0 (points that coincide) must not make a geometric mean 0.

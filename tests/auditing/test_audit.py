@@ -13,7 +13,7 @@ import l2p
 from l2p.auditing import report
 from l2p.auditing.audit import FRACTIONS
 from l2p.auditing.words import headline, sparser, typical
-from l2p.judging.confidence import BINS
+from l2p.judging.calibration import BINS
 from l2p.judging.curves import SHARES, THRESHOLDS
 from l2p.judging.scores import Scores
 from l2p.show.page.numbers import length

@@ -11,7 +11,7 @@ import pytest
 from l2p.errors import InputError
 from l2p.geometry.points import nearest_neighbors
 from l2p.judging.accuracy import errors, spacing
-from l2p.judging.confidence import calibration_error, ranking, reliability, risk_coverage
+from l2p.judging.calibration import calibration_error, ranking, reliability, risk_coverage
 from l2p.judging.neighbours import affinity_precision, neighbor_scores, right_neighbors
 from l2p.judging.scores import evaluate
 from l2p.maps.recovery import Recovery

@@ -17,7 +17,7 @@ from eval.mean_curves import pooled_calibration_error, pooled_reliability, sampl
 from eval.result_tables import document, method_table, overview, tables, updated
 from eval.targets import References, target_table, with_ratios
 from l2p.errors import InputError
-from l2p.judging.confidence import calibration_error
+from l2p.judging.calibration import calibration_error
 from l2p.judging.curves import (
     SHARES,
     THRESHOLDS,

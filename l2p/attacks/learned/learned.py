@@ -133,8 +133,6 @@ class Learned(Attack):
         If there are more rounds than calibrations.
     """
 
-    calibrated = True
-
     def __init__(
         self,
         network: LineTransformer,
@@ -153,6 +151,8 @@ class Learned(Attack):
                 f"got {len(self.calibration)} calibrations for {self.config.rounds} rounds; expected as many"
             )
         self.fraction, self.source = fraction, source or {}
+        # Without rounds the confidence is the tomography's, which only ranks.
+        self.calibrated = self.config.rounds > 0
         # The last round is part of ``finish``: nothing follows from its estimates.
         self.rounds = max(0, self.config.rounds - 1)
         self.columns = {"beta": (), "confidence": (), "state": (network.config.state,)}
