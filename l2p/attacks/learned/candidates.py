@@ -1,7 +1,7 @@
-"""Candidate pairs of some lines, their geometry computed once for every family of inputs.
+"""Candidate pairs of some lines; their geometry is computed once for all families of inputs.
 
-Everything follows from the lines alone and does not change when the scene is moved, turned or scaled, when lines are
-reordered, or when a line's origin slides or its direction flips.
+Everything follows from the lines alone. It does not change if the scene is moved, turned or scaled, if lines are
+reordered, if a line's origin moves along it, or if its direction is reversed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from l2p.geometry.pairs import PARALLEL
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Lines and their candidates; positions are counted from each line's foot, lengths in the frame's unit.
+    """Lines and their candidates; positions are relative to each line's foot, lengths in the frame's unit.
 
     Attributes
     ----------
@@ -30,30 +30,30 @@ class Candidates:
     valid : (rows, k)
         False for padding.
     rows : (rows,)
-        The lines.
+        Indices of the lines.
     direction, point, scale, confidence, crowd : (rows, k, ...)
-        Of the candidates (:class:`l2p.attacks.learned.nodes.Nodes`).
+        Columns of the candidates (:class:`l2p.attacks.learned.nodes.Nodes`).
     own_direction, own_foot, own_point, own_beta, own_scale, own_confidence : (rows, 1, ...)
-        Of the lines themselves.
+        Columns of the lines themselves.
     cosine : (rows, k)
-        Of the angle between line and candidate.
+        Cosine of the angle between line and candidate.
     foot : (rows, k)
-        Position of the foot of the candidate's estimate on the line.
+        Position on the line of the foot of the candidate's estimate.
     closest : (rows, k)
-        Position of the point of the line that is closest to the candidate.
+        Position of the line's point closest to the candidate.
     at_foot, at_closest : (rows, k, 3)
-        The points there.
+        Points at these positions.
     line_line, point_line : (rows, k)
-        Distance of the two lines; of the candidate's estimate from the line.
+        Distance of the two lines; distance of the candidate's estimate from the line.
     line_point : (rows, k)
         Distance of the candidate from the line's estimate.
     side : (rows, 1)
-        1 or -1: the way along the line to which the feet are skewed, which takes the sign of the direction out.
+        1 or -1: the side to which the feet are skewed; it removes the arbitrary sign of the direction.
     nodes : Nodes
     posterior : Posterior
-        It begins with line ``first``.
+        Its row 0 is that of line ``first``.
     attributes : mapping
-        Published beside each line (:class:`l2p.attacks.attack.Elements`).
+        Data published with each line (:class:`l2p.attacks.attack.Elements`).
     """
 
     index: Int[Tensor, "rows k"]
@@ -99,7 +99,7 @@ class Candidates:
         valid = candidates >= 0
         index = candidates.clamp_min(0).long()
         own = lines.rows(rows)
-        # Only what the rows need is touched: the cost of a batch does not depend on the number of lines.
+        # Only the columns of these rows are read: the cost of a batch does not depend on the number of lines.
         direction, moment, point = (picked(column, index) for column in (lines.direction, lines.moment, nodes.point))
         scale, confidence, crowd = (picked(column, index) for column in (nodes.scale, nodes.confidence, nodes.crowd))
         d, o, here = own.direction[:, None], own.foot[:, None], nodes.point.index_select(0, rows)[:, None]
@@ -144,7 +144,7 @@ class Candidates:
         )
 
     def attribute(self, name: str) -> tuple[Shaped[Tensor, "rows 1 ..."], Shaped[Tensor, "rows k ..."]]:
-        """What is published beside the lines and beside their candidates."""
+        """Return a published attribute of the lines and of their candidates."""
         column = self.attributes[name]
         return column.index_select(0, self.rows)[:, None], picked(column, self.index)
 
