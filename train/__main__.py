@@ -15,7 +15,7 @@ from train.train_config import CONFIGS, settings_of
 
 @hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name="train")
 def main(config: DictConfig) -> None:
-    """Train as the config says; exit code 2 is a user's error."""
+    """Train by the config; exit code 2 is a user's error."""
     command = shlex.join(["python", "-m", "train", *HydraConfig.get().overrides.task])
     with explained("train"):
         settings = settings_of(config)

@@ -55,7 +55,7 @@ class Scene(NamedTuple):
         return edges_of(self.pairs(), FAMILIES)
 
     def pairs(self, rows: Tensor = ROWS, **attributes: Tensor) -> Candidates:
-        return Candidates.of(self.lines, self.nodes, self.posterior, rows, self.candidates[rows], attributes=attributes)
+        return Candidates(self.lines, self.nodes, self.posterior, rows, self.candidates[rows], attributes=attributes)
 
 
 @pytest.fixture(scope="module")
@@ -329,8 +329,8 @@ class Likeness:
     least: float = 0.5
 
     def of(self, pairs: Candidates) -> Values:
-        own, other = pairs.attribute("rgb")
-        apart = (own - other).norm(dim=-1)
+        rgb = pairs.attributes["rgb"]
+        apart = (pairs.own(rgb) - pairs.other(rgb)).norm(dim=-1)
         return Values([1 / (self.least + apart), apart * pairs.scale])
 
 

@@ -1,13 +1,14 @@
-"""Candidate pairs of some lines; their geometry is computed once for all families of inputs.
+"""Candidate pairs of some lines; their geometry is computed when first read, once for all families of inputs.
 
-Everything follows from the lines alone. It does not change if the scene is moved, turned or scaled, if lines are
-reordered, if a line's origin moves along it, or if its direction is reversed.
+Everything follows from the lines alone. It does not change if the scene is moved or turned, if lines are reordered, or
+if a line's origin moves along it; positions change sign with a line's direction, and ``side`` is the positive side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
@@ -25,132 +26,126 @@ class Candidates:
 
     Attributes
     ----------
-    index : (rows, k)
-        The candidates; 0 for padding.
-    valid : (rows, k)
-        False for padding.
-    rows : (rows,)
-        Indices of the lines.
-    direction, point, scale, confidence, crowd : (rows, k, ...)
-        Columns of the candidates (:class:`l2p.attacks.learned.nodes.Nodes`).
-    own_direction, own_foot, own_point, own_beta, own_scale, own_confidence : (rows, 1, ...)
-        Columns of the lines themselves.
-    cosine : (rows, k)
-        Cosine of the angle between line and candidate.
-    foot : (rows, k)
-        Position on the line of the foot of the candidate's estimate.
-    closest : (rows, k)
-        Position of the line's point closest to the candidate.
-    at_foot, at_closest : (rows, k, 3)
-        Points at these positions.
-    line_line, point_line : (rows, k)
-        Distance of the two lines; distance of the candidate's estimate from the line.
-    line_point : (rows, k)
-        Distance of the candidate from the line's estimate.
-    side : (rows, 1)
-        1 or -1: the side to which the feet are skewed; it removes the arbitrary sign of the direction.
-    nodes : Nodes
+    lines, nodes
+        All lines.
     posterior : Posterior
         Its row 0 is that of line ``first``.
+    rows : (rows,)
+        Indices of the lines.
+    chosen : (rows, k)
+        Indices of their candidates; -1 is padding.
     attributes : mapping
         Data published with each line (:class:`l2p.attacks.attack.Elements`).
     """
 
-    index: Int[Tensor, "rows k"]
-    valid: Bool[Tensor, "rows k"]
-    rows: Int[Tensor, " rows"]
-    direction: Float[Tensor, "rows k 3"]
-    point: Float[Tensor, "rows k 3"]
-    scale: Float[Tensor, "rows k"]
-    confidence: Float[Tensor, "rows k"]
-    crowd: Float[Tensor, "rows k"]
-    own_direction: Float[Tensor, "rows 1 3"]
-    own_foot: Float[Tensor, "rows 1 3"]
-    own_point: Float[Tensor, "rows 1 3"]
-    own_beta: Float[Tensor, "rows 1"]
-    own_scale: Float[Tensor, "rows 1"]
-    own_confidence: Float[Tensor, "rows 1"]
-    cosine: Float[Tensor, "rows k"]
-    foot: Float[Tensor, "rows k"]
-    closest: Float[Tensor, "rows k"]
-    at_foot: Float[Tensor, "rows k 3"]
-    at_closest: Float[Tensor, "rows k 3"]
-    line_line: Float[Tensor, "rows k"]
-    point_line: Float[Tensor, "rows k"]
-    line_point: Float[Tensor, "rows k"]
-    side: Float[Tensor, "rows 1"]
+    lines: Lines
     nodes: Nodes
     posterior: Posterior
-    first: int
-    attributes: Mapping[str, Shaped[Tensor, "lines ..."]]
+    rows: Int[Tensor, " rows"]
+    chosen: Int[Tensor, "rows k"]
+    first: int = 0
+    attributes: Mapping[str, Shaped[Tensor, "lines ..."]] = field(default_factory=dict)
 
-    @classmethod
-    def of(
-        cls,
-        lines: Lines,
-        nodes: Nodes,
-        posterior: Posterior,
-        rows: Int[Tensor, " rows"],
-        candidates: Int[Tensor, "rows k"],
-        first: int = 0,
-        attributes: Mapping[str, Shaped[Tensor, "lines ..."]] | None = None,
-    ) -> Candidates:
-        """Compute the geometry of the pairs; -1 in ``candidates`` is padding."""
-        valid = candidates >= 0
-        index = candidates.clamp_min(0).long()
-        own = lines.rows(rows)
-        # Only the columns of these rows are read: the cost of a batch does not depend on the number of lines.
-        direction, moment, point = (picked(column, index) for column in (lines.direction, lines.moment, nodes.point))
-        scale, confidence, crowd = (picked(column, index) for column in (nodes.scale, nodes.confidence, nodes.crowd))
-        d, o, here = own.direction[:, None], own.foot[:, None], nodes.point.index_select(0, rows)[:, None]
-        beta, own_scale, own_confidence = (
-            column.index_select(0, rows)[:, None] for column in (nodes.beta, nodes.scale, nodes.confidence)
-        )
-        cosine = (d * direction).sum(-1)
-        sine2 = (1 - cosine.square()).clamp_min(PARALLEL**2)
-        foot = (point * d).sum(-1)
+    def own(self, column: Shaped[Tensor, "lines ..."]) -> Shaped[Tensor, "rows 1 ..."]:
+        """Select the entries of the lines themselves."""
+        return column.index_select(0, self.rows)[:, None]
+
+    def other(self, column: Shaped[Tensor, "lines ..."]) -> Shaped[Tensor, "rows k ..."]:
+        """Select the entries of the candidates; the cost does not depend on the number of all lines."""
+        return picked(column, self.index)
+
+    @cached_property
+    def valid(self) -> Bool[Tensor, "rows k"]:
+        """False for padding."""
+        return self.chosen >= 0
+
+    @cached_property
+    def index(self) -> Int[Tensor, "rows k"]:
+        """Indices of the candidates; 0 for padding."""
+        return self.chosen.clamp_min(0).long()
+
+    @cached_property
+    def direction(self) -> Float[Tensor, "rows 1 3"]:
+        """Directions of the lines."""
+        return self.own(self.lines.direction)
+
+    @cached_property
+    def origin(self) -> Float[Tensor, "rows 1 3"]:
+        """Feet of the lines, the origins of positions."""
+        return self.lines.rows(self.rows).foot[:, None]
+
+    @cached_property
+    def here(self) -> Float[Tensor, "rows 1 3"]:
+        """Estimates of the lines."""
+        return self.own(self.nodes.point)
+
+    @cached_property
+    def point(self) -> Float[Tensor, "rows k 3"]:
+        """Estimates of the candidates."""
+        return self.other(self.nodes.point)
+
+    @cached_property
+    def scale(self) -> Float[Tensor, "rows k"]:
+        """Local scales of the candidates."""
+        return self.other(self.nodes.scale)
+
+    @cached_property
+    def _other_lines(self) -> tuple[Float[Tensor, "rows k 3"], Float[Tensor, "rows k 3"]]:
+        return self.other(self.lines.direction), self.other(self.lines.moment)
+
+    @cached_property
+    def cosine(self) -> Float[Tensor, "rows k"]:
+        """Cosine of the angle between line and candidate."""
+        return (self.direction * self._other_lines[0]).sum(-1)
+
+    @cached_property
+    def _sine2(self) -> Float[Tensor, "rows k"]:
+        return (1 - self.cosine.square()).clamp_min(PARALLEL**2)
+
+    @cached_property
+    def foot(self) -> Float[Tensor, "rows k"]:
+        """Position of the foot of the candidate's estimate."""
+        return (self.point * self.direction).sum(-1)
+
+    @cached_property
+    def closest(self) -> Float[Tensor, "rows k"]:
+        """Position of the line's point closest to the candidate."""
+        direction, moment = self._other_lines
         other_foot = torch.linalg.cross(direction, moment)
-        closest = ((other_foot * d).sum(-1) + cosine * (o * direction).sum(-1)) / sine2
-        at_foot, at_closest = o + foot[..., None] * d, o + closest[..., None] * d
-        reciprocal = (d * moment).sum(-1) + (own.moment[:, None] * direction).sum(-1)
-        return cls(
-            index=index,
-            valid=valid,
-            rows=rows,
-            direction=direction,
-            point=point,
-            scale=scale,
-            confidence=confidence,
-            crowd=crowd,
-            own_direction=d,
-            own_foot=o,
-            own_point=here,
-            own_beta=beta,
-            own_scale=own_scale,
-            own_confidence=own_confidence,
-            cosine=cosine,
-            foot=foot,
-            closest=closest,
-            at_foot=at_foot,
-            at_closest=at_closest,
-            line_line=reciprocal.abs() / sine2.sqrt(),
-            point_line=(at_foot - point).norm(dim=-1),
-            line_point=(torch.linalg.cross(here.expand_as(direction), direction) - moment).norm(dim=-1),
-            side=_side(foot - beta, scale, valid),
-            nodes=nodes,
-            posterior=posterior,
-            first=first,
-            attributes=attributes or {},
-        )
+        reach = (other_foot * self.direction).sum(-1) + self.cosine * (self.origin * direction).sum(-1)
+        return reach / self._sine2
 
-    def attribute(self, name: str) -> tuple[Shaped[Tensor, "rows 1 ..."], Shaped[Tensor, "rows k ..."]]:
-        """Return a published attribute of the lines and of their candidates."""
-        column = self.attributes[name]
-        return column.index_select(0, self.rows)[:, None], picked(column, self.index)
+    @cached_property
+    def at_foot(self) -> Float[Tensor, "rows k 3"]:
+        """The point at ``foot``."""
+        return self.origin + self.foot[..., None] * self.direction
 
+    @cached_property
+    def at_closest(self) -> Float[Tensor, "rows k 3"]:
+        """The point at ``closest``."""
+        return self.origin + self.closest[..., None] * self.direction
 
-def _side(
-    apart: Float[Tensor, "rows k"], scale: Float[Tensor, "rows k"], valid: Bool[Tensor, "rows k"]
-) -> Float[Tensor, "rows 1"]:
-    skew = (apart.sign() * torch.log1p(apart.abs() / scale) * valid).sum(dim=1, keepdim=True)
-    return torch.where(skew < 0, -1.0, 1.0)
+    @cached_property
+    def line_line(self) -> Float[Tensor, "rows k"]:
+        """Distance of line and candidate."""
+        direction, moment = self._other_lines
+        reciprocal = (self.direction * moment).sum(-1) + (self.own(self.lines.moment) * direction).sum(-1)
+        return reciprocal.abs() / self._sine2.sqrt()
+
+    @cached_property
+    def point_line(self) -> Float[Tensor, "rows k"]:
+        """Distance of the candidate's estimate from the line."""
+        return (self.at_foot - self.point).norm(dim=-1)
+
+    @cached_property
+    def line_point(self) -> Float[Tensor, "rows k"]:
+        """Distance of the candidate from the line's estimate."""
+        direction, moment = self._other_lines
+        return (torch.linalg.cross(self.here.expand_as(direction), direction) - moment).norm(dim=-1)
+
+    @cached_property
+    def side(self) -> Float[Tensor, "rows 1"]:
+        """1 or -1: the side to which the feet are skewed; it removes the arbitrary sign of the direction."""
+        apart = self.foot - self.own(self.nodes.beta)
+        skew = (apart.sign() * torch.log1p(apart.abs() / self.scale) * self.valid).sum(dim=1, keepdim=True)
+        return torch.where(skew < 0, -1.0, 1.0)

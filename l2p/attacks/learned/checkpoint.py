@@ -30,7 +30,7 @@ from l2p.errors import InputError
 #: Version of the file format; a reader refuses versions that it does not know.
 FORMAT = 4
 _FORMAT_KEY = "l2p_format"
-#: Hexadecimal digits of a digest: enough to tell checkpoints apart.
+#: Hexadecimal digits of a digest: enough to distinguish checkpoints.
 _DIGITS = 12
 
 Config = TypeVar("Config")

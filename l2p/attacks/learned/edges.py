@@ -11,7 +11,6 @@ from torch import Tensor
 
 from l2p.attacks.learned.candidates import Candidates
 from l2p.attacks.learned.inputs.family import Inputs, Kind
-from l2p.geometry.elements import picked
 
 
 class Edges(NamedTuple):
@@ -59,7 +58,7 @@ def edges_of(pairs: Candidates, inputs: Sequence[Inputs]) -> Edges:
         for value, kind in zip(values, family.columns.values(), strict=True):
             columns[kind].append(value)
     columns[Kind.NUMBER] += [absent + (name in pairs.attributes) for name in _needed(inputs)]
-    beta, scale, sign = pairs.own_beta, pairs.scale, pairs.side
+    beta, scale, sign = pairs.own(pairs.nodes.beta), pairs.scale, pairs.side
     places = torch.stack(columns[Kind.POSITION], dim=1) - beta[:, None]
     lengths = [places * sign[:, None], *([torch.stack(columns[Kind.LENGTH], dim=1)] if columns[Kind.LENGTH] else [])]
     # Values of one feature are contiguous over the candidates: torch is slow the other way round.
@@ -74,9 +73,9 @@ def edges_of(pairs: Candidates, inputs: Sequence[Inputs]) -> Edges:
         foot=pairs.foot - beta,
         point_line=pairs.point_line,
         scale=scale,
-        confidence=pairs.confidence,
+        confidence=pairs.other(pairs.nodes.confidence),
         feature=feature,
-        state=picked(pairs.nodes.state, pairs.index),
+        state=pairs.other(pairs.nodes.state),
         side=sign.expand_as(scale),
         valid=pairs.valid,
     )

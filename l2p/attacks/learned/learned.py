@@ -217,7 +217,7 @@ class Learned(Attack):
     ) -> Edges:
         """Compute the network's inputs for candidates of some rows; the posterior begins with line ``first``."""
         elements, posterior, nodes = state
-        pairs = Candidates.of(elements.lines, nodes, posterior, rows, candidates, first, elements.attributes)
+        pairs = Candidates(elements.lines, nodes, posterior, rows, candidates, first, elements.attributes)
         return edges_of(pairs, self.inputs)
 
     def judge(self, state: State, work: Work = ALONE) -> Round:

@@ -19,4 +19,6 @@ class Confidence:
 
     def of(self, pairs: Candidates) -> Values:
         """Return the columns."""
-        return Values([pairs.confidence, pairs.own_confidence.expand_as(pairs.confidence), pairs.crowd])
+        confidence = pairs.other(pairs.nodes.confidence)
+        own = pairs.own(pairs.nodes.confidence).expand_as(confidence)
+        return Values([confidence, own, pairs.other(pairs.nodes.crowd)])

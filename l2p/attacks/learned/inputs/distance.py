@@ -34,6 +34,6 @@ class Distance:
     def of(self, pairs: Candidates) -> Values:
         """Return the columns."""
         typical = pairs.nodes.typical
-        between = (pairs.own_point - pairs.point).norm(dim=-1)
+        between = (pairs.here - pairs.point).norm(dim=-1)
         logs = [length / typical + self.least for length in (pairs.line_line, pairs.point_line)]
         return Values([pairs.line_line, pairs.point_line, pairs.line_point, between, *logs])

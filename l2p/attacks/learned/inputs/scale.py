@@ -19,4 +19,4 @@ class Scale:
 
     def of(self, pairs: Candidates) -> Values:
         """Divide by the typical scale and by the line's own."""
-        return Values([pairs.scale / pairs.nodes.typical, pairs.scale / pairs.own_scale])
+        return Values([pairs.scale / pairs.nodes.typical, pairs.scale / pairs.own(pairs.nodes.scale)])

@@ -29,7 +29,7 @@ class _Cut:
     farthest: float = 3.0
 
     def _of(self, pairs: Candidates, surface: Surface) -> Values:
-        met = crossing(surface, pairs.own_direction, pairs.at_foot, pairs.at_closest, pairs.own_point, self.grazing)
+        met = crossing(surface, pairs.direction, pairs.at_foot, pairs.at_closest, pairs.here, self.grazing)
         farthest = self.farthest * pairs.scale
         vote = pairs.foot + torch.maximum(torch.minimum(met.cut, farthest), -farthest)
         shape = [met.slope.abs(), surface.planarity, surface.linearity]
