@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +30,8 @@ def named_attack(name: str, **settings: Any) -> Attack:
     InputError
         If the name is unknown, the attack has no such setting, or a setting is out of range.
     """
-    given = {key: value for key, value in settings.items() if value is not None}
+    given = {key: os.fspath(value) if isinstance(value, os.PathLike) else value for key, value in settings.items()}
+    given = {key: value for key, value in given.items() if value is not None}
     if ":" in name:
         return _users_own(name, given)
     if name not in ATTACKS:

@@ -222,9 +222,9 @@ def test_the_learned_attack_starts_where_the_tomography_ends(truth, direction, t
     np.testing.assert_array_equal(result.xyz, recover(lines, method="tomography", rounds=0).xyz)
 
 
-def test_density_lowers_the_learned_confidence_and_moves_no_point(truth, direction, tiny_checkpoint):
+def test_a_fraction_lowers_the_learned_confidence_and_moves_no_point(truth, direction, tiny_checkpoint):
     lines = LineCloud.through(truth[:200], direction[:200])
-    full, told, sparse = (recover(lines, checkpoint=tiny_checkpoint, density=share) for share in (None, 1.0, 0.1))
+    full, told, sparse = (recover(lines, checkpoint=tiny_checkpoint, fraction=share) for share in (None, 1.0, 0.1))
     assert told.confidence.tobytes() == full.confidence.tobytes()
     assert sparse.xyz.tobytes() == full.xyz.tobytes()
     assert (sparse.confidence <= full.confidence).all() and sparse.confidence.mean() < full.confidence.mean()
@@ -242,7 +242,7 @@ def test_colours_and_settings_come_along(truth):
     rgb = np.random.default_rng(0).integers(0, 256, size=(200, 3)).astype(np.uint8)
     hidden = hide(truth[:200], seed=1, rgb=rgb)
     lines, index = hidden.map, hidden.truth.index
-    result = recover(lines, method="heuristic", rounds=1, scene_kind="outdoor", density=0.05)
+    result = recover(lines, method="heuristic", rounds=1, scene_kind="outdoor", fraction=0.05)
     np.testing.assert_array_equal(result.rgb, rgb[index])
     assert result.info["method"] == "heuristic" and result.info["device"] == "cpu"
     settings = result.info["settings"]
@@ -255,18 +255,18 @@ def test_colours_and_settings_come_along(truth):
         ({"method": "magic"}, "got method 'magic'; expected one of .*heuristic"),
         ({"method": "heuristic", "device": "cuda:99"}, "got device 'cuda:99'; expected one of cpu"),
         ({"method": "heuristic", "rounds": -1}, "got -1 rounds; expected 0"),
-        ({"method": "heuristic", "density": 0.0}, r"got density 0.0; expected a number in \(0, 1\]"),
+        ({"method": "heuristic", "fraction": 0.0}, r"got fraction 0; expected a number in \(0, 1\]"),
         ({"method": "heuristic", "scene_kind": "sea"}, "got scene kind 'sea'; expected one of indoor, outdoor"),
         ({"method": "tomography", "scene_kind": "indoor"}, "got a scene kind for method 'tomography'; expected"),
         (
-            {"method": "tomography", "density": 0.5},
-            "a density for .*; .* with method 'learned' or 'heuristic'",
+            {"method": "tomography", "fraction": 0.5},
+            "a fraction for .*; .* with method 'learned' or 'heuristic'",
         ),
         ({"method": "tomography", "checkpoint": "a"}, "a checkpoint for method 'tomography'; .* method 'learned' only"),
         ({"method": "heuristic", "checkpoint": "a"}, "got a checkpoint for method 'heuristic'"),
         ({"scene_kind": "indoor"}, "got a scene kind for method 'learned'; expected it with method 'heuristic' only"),
-        ({"density": 1.5}, r"got density 1.5; expected a number in \(0, 1\]"),
-        ({"density": float("nan")}, "got density nan"),
+        ({"fraction": 1.5}, r"got fraction 1.5; expected a number in \(0, 1\]"),
+        ({"fraction": float("nan")}, "got fraction nan"),
         ({"rounds": -1}, "got -1 rounds; expected 0 to"),
         ({"rounds": 100}, "got 100 rounds; expected 0 to .*, those that .*learned.safetensors was trained for"),
         ({"checkpoint": Path(__file__)}, "test_run.py is no safetensors file"),

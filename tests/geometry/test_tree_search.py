@@ -135,14 +135,14 @@ def test_single_precision_finds_the_same_distances(deep):
 @pytest.mark.parametrize("kind", ["random", "in groups that coincide", "far outliers"])
 @pytest.mark.parametrize("radius", [0.0, 1e-9, 1e-3, 1e9])
 def test_answer_does_not_depend_on_the_guess(kind, radius, deep, monkeypatch):
-    monkeypatch.setattr(point_search, "_guess", lambda tree, lines, k: torch.full_like(lines.direction[:, 0], radius))
+    monkeypatch.setattr(point_search, "_guess", lambda tree, lines, k, work: torch.full_like(lines.direction[:, 0], radius))
     case = draw(kind)
     check(run(*case, 10), table(*case), 10)
 
 
 @pytest.mark.parametrize("block", [1, 5])
 def test_blocks_that_reach_nothing_at_first(block, deep, monkeypatch):
-    monkeypatch.setattr(point_search, "_guess", lambda tree, lines, k: torch.full_like(lines.direction[:, 0], 1e-9))
+    monkeypatch.setattr(point_search, "_guess", lambda tree, lines, k, work: torch.full_like(lines.direction[:, 0], 1e-9))
     monkeypatch.setattr(point_search, "_BLOCK", block)
     case = draw("far lines", 30)
     check(run(*case, 10), table(*case), 10)

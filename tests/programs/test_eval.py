@@ -298,7 +298,7 @@ def test_a_users_answer_of_the_wrong_length_is_refused(
 @pytest.mark.parametrize(
     ("entry", "sentence"),
     [
-        ({"name": "orakel"}, "got method 'orakel'; expected a name of learned, heuristic, tomography"),
+        ({"name": "orakel"}, "got method 'orakel'; expected a name of learned, tomography, heuristic"),
         ({"name": "learned", "round": 2}, "method learned: Key 'round' not in"),
         ({"name": "learned", "rounds": 100}, "got 100 rounds; expected 0 to"),
         ({"name": "learned", "checkpoint": __file__}, "test_eval.py is no safetensors file"),
