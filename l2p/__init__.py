@@ -1,4 +1,4 @@
-"""l2p: recover the points behind a line cloud, and tell how much an attacker would get back.
+"""l2p: recover the points behind a line cloud, and measure how much an attacker would recover.
 
 >>> import l2p
 >>> scene = l2p.simulate("room", points=300, seed=0)

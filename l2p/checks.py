@@ -1,4 +1,4 @@
-"""Checks of arrays that come from users: one sentence each."""
+"""Checks of arrays from users, each with a one-sentence error."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from jaxtyping import Bool, Float, Int
 
 from l2p.errors import InputError
 
-#: Largest absolute coordinate: products of a few are finite, also in single precision in units of the scene's size.
+#: Largest absolute coordinate: products of a few are finite, also in single precision if in units of the scene's size.
 FARTHEST = 1e30
 
 
-#: Words for a number that fails :func:`in_range`.
+#: Description of a number that fails :func:`in_range`, for error messages.
 OUT_OF_RANGE = "NaN, infinite or beyond 1e30"
 
 
@@ -28,13 +28,13 @@ def finite_rows(name: str, value: object) -> Float[np.ndarray, "lines 3"]:
 
 
 def check_fraction(value: float) -> None:
-    """Refuse a share of the points that is not in (0, 1]."""
+    """Refuse a fraction of the points that is not in (0, 1]."""
     if not 0 < value <= 1:
         raise InputError(f"got fraction {value:g}; expected a number in (0, 1], a share of the points")
 
 
 def element_rows(value: object, rows: int) -> Int[np.ndarray, " rows"]:
-    """``value`` as the element (line) of each row, int64; None gives every row its own."""
+    """Convert ``value`` to the element (line) of each row, int64; None gives each row its own index."""
     if value is None:
         return np.arange(rows)
     array = np.asarray(value)
@@ -46,12 +46,12 @@ def element_rows(value: object, rows: int) -> Int[np.ndarray, " rows"]:
 
 
 def in_range(array: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
-    """Whether each number is finite and at most ``FARTHEST`` from 0."""
+    """Test whether each number is finite and at most ``FARTHEST`` from 0."""
     return np.abs(array) <= FARTHEST
 
 
 def _refuse(bad: np.ndarray, what: str, mend: str) -> None:
-    """Raise InputError if ``bad`` marks a line; ``mend`` is what the user can do."""
+    """Raise InputError if ``bad`` marks a line; ``mend`` is the advice to the user."""
     if bad.any():
         message = f"got {int(bad.sum())} line(s) with a {what}, first at line {int(np.argmax(bad))}"
         raise InputError(f"{message}; {mend} (lines are counted from 0)")

@@ -1,4 +1,4 @@
-"""``python -m train``: hydra composes the config, its types are checked, the rounds are trained."""
+"""``python -m train``: hydra composes the config, its types are checked, then the network is trained."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from train.train_config import CONFIGS, settings_of
 
 @hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name="train")
 def main(config: DictConfig) -> None:
-    """Train what the config asks for; exit code 2 is a user's error."""
+    """Train by the config; exit code 2 is a user's error."""
     command = shlex.join(["python", "-m", "train", *HydraConfig.get().overrides.task])
     with explained("train"):
         settings = settings_of(config)
-        # Lightning takes seconds to load; a wrong config is told at once.
+        # Lightning takes seconds to load; a wrong config is reported before.
         from lightning.pytorch.utilities import rank_zero_only
 
         from train.training import train_all

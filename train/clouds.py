@@ -1,4 +1,4 @@
-"""Line clouds to train on: lifted from scenes, with the tomography done."""
+"""Line clouds for training: lifted from scenes, with their tomography."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from l2p.schemes.hide import hide
 from l2p.simulator import simulate
 from train.losses import Sample, soft_labels
 
-#: True neighbours of a point that set the local radius of a true neighbour.
+#: Number of true neighbours whose distance is the local radius.
 TRUE_NEIGHBORS = 25
 
 
@@ -38,7 +38,7 @@ class CloudSource:
 
     @property
     def name(self) -> str:
-        """Of the scene, for tables."""
+        """Name of the scene, for tables."""
         return Path(self.scene).stem
 
 
@@ -46,8 +46,8 @@ class CloudSource:
 class Cloud:
     """A line cloud in its working frame, its tomography and its truth.
 
-    ``spacing`` is that of the lifted points in the frame's unit, ``radius`` the distance of each true point to its
-    25th true neighbour among them.
+    ``spacing`` is that of the lifted points, ``radius`` the distance of each true point to its 25th true neighbour
+    among them; both are in the frame's unit.
     """
 
     elements: Elements
@@ -59,17 +59,17 @@ class Cloud:
 
     @cached_property
     def true_point(self) -> Float[Tensor, "lines 3"]:
-        """True points in the frame."""
+        """True points, in the frame."""
         return self.elements.lines.at(self.true_beta)
 
     def state(self, nodes: Nodes | None = None) -> State:
-        """The state of an attack with these nodes; before the first round, when they are left out."""
+        """Return the state of an attack with these nodes; default: those before the first round."""
         return State(self.elements, self.posterior, self.first_nodes if nodes is None else nodes)
 
     def sample(
         self, attack: Learned, nodes: Nodes, candidates: Int[Tensor, "lines k"], rows: Int[Tensor, " rows"]
     ) -> Sample:
-        """Features, votes and truth of some lines."""
+        """Compute features, votes and truth of some lines."""
         chosen, truth = candidates[rows], self.true_point
         distance = (truth[chosen.clamp_min(0).long()] - truth[rows][:, None]).norm(dim=2)
         return Sample(
@@ -81,7 +81,7 @@ class Cloud:
 
 
 def lifted(source: CloudSource, attack: Learned, device: torch.device | str = "cpu") -> Cloud:
-    """Lift the cloud of a source, the same each time, and do the attack's tomography."""
+    """Lift the cloud of a source, reproducibly, and run the attack's tomography."""
     points = read(source.scene).xyz
     hidden = hide(points, source.seed, source.fraction)
     lines, truth = hidden.map, hidden.truth.xyz
@@ -102,7 +102,7 @@ def lifted(source: CloudSource, attack: Learned, device: torch.device | str = "c
 
 @lru_cache(maxsize=256)
 def read(scene: str) -> Scene:
-    """A scene file, or a simulated scene by its ``sim:kind:points:seed``."""
+    """Read a scene file, or simulate the scene ``sim:kind:points:seed``."""
     if scene.startswith("sim:"):
         kind, points, seed = scene.split(":")[1:]
         return simulate(kind, int(points), int(seed))

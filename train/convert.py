@@ -21,7 +21,7 @@ from l2p.attacks.learned.network import NetworkConfig
 from l2p.attacks.peak import PeakConfig
 from l2p.errors import InputError, sentence
 
-#: Options of format 3 that were for experiments, with the value that format 4 stands for.
+#: Experimental options of format 3, with the only value that format 4 supports.
 _EXPERIMENTS = {"without": [], "weight": "vote", "rule": "several", "batch": 256}
 
 
@@ -31,7 +31,7 @@ def converted(path: Path) -> Checkpoint:
     Raises
     ------
     FileNotFoundError, InputError
-        If it is not there, of another format, or of an experiment that format 4 does not know.
+        If it is missing, of another format, or uses an experimental option that format 4 does not support.
     """
     metadata, tensors = opened(path)
     if metadata.get("l2p_format") != "3":

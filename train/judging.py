@@ -1,4 +1,4 @@
-"""What the network is worth on held-back clouds: its calibration, and its figures for the record."""
+"""Evaluation of the network on held-back clouds: calibration, and figures for the record."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from train.clouds import Cloud, CloudSource
 
 @dataclass(frozen=True)
 class Judged:
-    """Errors of a cloud's lines after a round, in spacings of the cloud, and the network's logits of finding them."""
+    """Errors of a cloud's lines after a round, in spacings of the cloud, and the network's logits for each radius."""
 
     error: Float[Tensor, " lines"]
     found: Float[Tensor, "lines radii"]
@@ -27,7 +27,7 @@ class Judged:
 
 @torch.inference_mode()
 def rounds_of(cloud: Cloud, attack: Learned) -> list[Judged]:
-    """Judge a cloud in every round."""
+    """Judge a cloud after every round."""
     attack.network.eval()
     state, judged = cloud.state(), []
     for number in range(attack.config.rounds):
@@ -39,9 +39,9 @@ def rounds_of(cloud: Cloud, attack: Learned) -> list[Judged]:
 
 
 def calibrate(judged: Sequence[Judged], radii: Sequence[float]) -> list[tuple[float, float]]:
-    """Fit for each radius a and b of sigmoid(a found + b), the probability of lying within it (Platt scaling).
+    """Fit (a, b) for each radius: sigmoid(a found + b) is the probability of lying within it (Platt scaling).
 
-    Every cloud counts the same; a stays positive, so that ranks are kept.
+    All clouds have equal weight; a is positive, so that the order does not change.
     """
     weight = torch.cat([torch.full((len(part.error),), 1 / len(part.error)) for part in judged]).double()
     found = torch.cat([part.found for part in judged]).double()
@@ -60,7 +60,7 @@ def _platt(
         entropy = functional.binary_cross_entropy_with_logits(
             numbers[0].exp() * found + numbers[1], inside.double(), reduction="none"
         )
-        # A little pull to the identity keeps the answer finite where all lines, or none, are found.
+        # A weak prior on the identity keeps the fit finite if all lines, or none, are found.
         loss = (weight * entropy).sum() / weight.sum() + 1e-4 * numbers.square().sum()
         loss.backward()
         return loss
@@ -73,9 +73,9 @@ def _platt(
 def figures(
     source: CloudSource, judged: Sequence[Judged], calibration: Sequence[tuple[float, float]], one: int
 ) -> dict[str, Any]:
-    """Errors after every round, and figures of the calibrated confidence of the last one, for one cloud.
+    """Compute errors after every round, and figures of the calibrated confidence of the last one, for one cloud.
 
-    ``one`` is the place of the radius of 1 spacing.
+    ``one`` is the index of the radius of 1 spacing.
     """
     error, found = judged[-1].error, judged[-1].found[:, one].double()
     slope, offset = calibration[one]

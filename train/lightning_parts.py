@@ -1,4 +1,4 @@
-"""Plugins for Lightning: atomic checkpoints, and a table of figures that is only appended to."""
+"""Plugins for Lightning: atomic checkpoints, and an append-only table of figures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from l2p.io.atomic import atomic_file
 
 
 class AtomicCheckpoints(TorchCheckpointIO):
-    """Checkpoints replaced by renaming: a kill leaves the old one or the new one."""
+    """Checkpoints replaced by renaming: a kill leaves the old or the new one."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None) -> None:
         """Write a checkpoint to ``path``."""
@@ -27,7 +27,7 @@ class AtomicCheckpoints(TorchCheckpointIO):
 class FigureTable(Logger):
     """``figures.csv`` with columns step, figure, value.
 
-    A resumed run appends to it; if a step is done again after a kill, its last rows count.
+    A resumed run appends to it; if a step is repeated after a kill, its last rows count.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -58,11 +58,11 @@ class FigureTable(Logger):
             writer.writerows([step, name, f"{value:.6g}"] for name, value in metrics.items() if name != "epoch")
 
     def log_hyperparams(self, params: Any, *args: Any, **kwargs: Any) -> None:
-        """Do nothing: they are in config.yaml."""
+        """Do nothing: hyperparameters are in config.yaml."""
 
 
 def _without_torn_row(file: Path) -> None:
-    """Remove a last row that a kill has cut, or the next row would be joined to it."""
+    """Remove a last row cut by a kill; the next row would be appended to it."""
     if not file.exists():
         return
     with file.open("r+b") as table:

@@ -14,7 +14,7 @@ from l2p.attacks.learned.edges import Edges
 from l2p.attacks.learned.learned import LearnedConfig, weighted_peak
 from l2p.attacks.learned.network import Judgement
 
-#: Distance in local radii at which the label of a candidate is 1/2, and the scale of its sigmoid.
+#: Distance, in local radii, at which the label of a candidate is 1/2, and the scale of its sigmoid.
 BORDER, SOFTNESS = 1.25, 0.25
 #: Logarithm of the least density at the true position: lines without correct votes must not dominate.
 BACKGROUND = -5.0
@@ -23,9 +23,9 @@ LEAST_ERROR, MOST_ERROR = 0.01, 100.0
 
 
 class Sample(NamedTuple):
-    """Lines with their truth; ``true_beta`` is relative to the estimate of the last round, as votes are.
+    """Lines with their truth; ``true_beta`` is relative to the last estimate, as are votes.
 
-    ``spacing`` is that of each line's cloud, frame units.
+    ``spacing`` is that of each line's cloud, in the frame's unit.
     """
 
     edges: Edges
@@ -51,12 +51,12 @@ class Losses(NamedTuple):
 
     @property
     def total(self) -> Float[Tensor, ""]:
-        """The sum of the terms."""
+        """Sum of the terms."""
         return self.affinity + self.position + self.found + self.probe
 
 
 def soft_labels(distance: Float[Tensor, "lines k"], radius: Float[Tensor, " lines"]) -> Float[Tensor, "lines k"]:
-    """Labels of candidates: 1 for true neighbours, 0 far away, soft between; ``radius`` is the local one."""
+    """Labels of candidates: 1 for true neighbours, 0 far away, soft between; ``radius`` is the local radius."""
     reach = radius[:, None]
     return torch.sigmoid((BORDER * reach - distance) / (SOFTNESS * reach))
 
@@ -68,7 +68,7 @@ def losses(
     config: LearnedConfig,
     radii: Sequence[float],
 ) -> Losses:
-    """Compute all terms; ``probe`` is the logarithm of the error as a linear layer predicts it from the states."""
+    """Compute all terms; ``probe`` is the logarithm of the error, predicted from the states by a linear layer."""
     with torch.no_grad():
         moved = weighted_peak(judgement, config)
         error = (moved - sample.true_beta).abs() / sample.spacing

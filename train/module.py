@@ -26,18 +26,18 @@ from train.pool import Pool
 from train.sources import Sources
 from train.train_config import FitSettings
 
-#: Share of the learning rate that is left at the end.
+#: Final learning rate, as a fraction of the largest.
 _LAST_RATE = 0.02
-#: The moving average forgets faster in the first steps: 1 - 1 / (1 + steps / this).
+#: Steps in the decay of the moving average, 1 - 1 / (1 + steps / this), which is smaller at first.
 _FORGET = 10.0
-#: What a validation finds.
+#: Names of the validation figures.
 _FIGURES = ("val/score", "val/median", "val/within")
 
 
 class NetworkModule(lightning.LightningModule):
-    """``network`` is trained, ``average`` follows it and is what is validated and shipped.
+    """Module of the trained ``network`` and its moving ``average``, which is validated and exported.
 
-    ``probe`` reads the error from the states, so that they carry something to the next round; it stays here.
+    ``probe`` predicts the error from the states, so that they carry information to the next round; it is not exported.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class NetworkModule(lightning.LightningModule):
         self.network = network
         self.average = copy.deepcopy(network).requires_grad_(False)
         self.probe = nn.Linear(network.config.state, 1)
-        # Of the average, which is in evaluation mode: the pool needs no weights.
+        # The attack uses the average, in evaluation mode; the pool does not use its weights.
         self.attack, self.fit = Learned(self.average, config), fit
         self.sources, self.held_back = sources, held_back
         self.pool: Pool | None = None
@@ -62,29 +62,29 @@ class NetworkModule(lightning.LightningModule):
 
     @property
     def seconds(self) -> float:
-        """Time spent in training, over all starts."""
+        """Seconds of training, over all starts."""
         return self._seconds_before + time.monotonic() - self._began
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
-        """AdamW on everything but the average."""
+        """Return AdamW on all weights but the average."""
         weights = [*self.network.parameters(), *self.probe.parameters()]
         return torch.optim.AdamW(weights, lr=self.fit.learning_rate, weight_decay=self.fit.weight_decay)
 
     def train_dataloader(self) -> Iterable[int]:
-        """Numbers without end: what is in a batch is up to the pool, and the trainer knows when to stop."""
+        """Return an endless count: the pool makes the batches, and the trainer stops."""
         return itertools.count()
 
     def val_dataloader(self) -> DataLoader[int]:
-        """Numbers of the held-back clouds that this process judges; some are beyond the last, so that all have equally
-        many."""
+        """Return the numbers of the held-back clouds of this rank, padded beyond the last cloud so that all ranks have
+        equally many."""
         ranks = self.trainer.world_size
         most = math.ceil(len(self.held_back) / ranks) * ranks
         return DataLoader(range(self.global_rank, most, ranks), batch_size=None)  # type: ignore[arg-type]
 
     def on_train_start(self) -> None:
-        """Clouds for a first batch, or those of the run that is continued."""
+        """Make the pool, or restore that of the continued run."""
         if self.trainer.world_size > 1:
-            # Lightning's handler talks to the other processes in the middle of whatever they talk about, and hangs.
+            # Lightning's SIGTERM handler issues a collective and deadlocks.
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
         self._began = time.monotonic()
         rank, ranks = self.global_rank, self.trainer.world_size
@@ -93,11 +93,11 @@ class NetworkModule(lightning.LightningModule):
             self.pool.load_state_dict(self._pools_before[rank])
 
     def on_train_batch_start(self, batch: int, batch_idx: int) -> None:
-        """Warm up, then fall in a line to almost nothing; the schedule follows steps or minutes."""
+        """Set the learning rate: warm-up, then linear decay to almost 0, by steps or minutes."""
         share = self.global_step / self.fit.steps
         if self.fit.minutes is not None:
             share = max(share, self.seconds / 60 / self.fit.minutes)
-        # All processes have to stop at the same step.
+        # All ranks must stop at the same step.
         self.done = share if self.trainer.world_size == 1 else self.trainer.strategy.broadcast(share)
         warm = min(1.0, (self.global_step + 1) / max(self.fit.warmup, 1))
         rate = self.fit.learning_rate * warm * max(_LAST_RATE, 1 - self.done)
@@ -108,10 +108,10 @@ class NetworkModule(lightning.LightningModule):
         self.log("train/rate", rate, batch_size=1)
 
     def training_step(self, batch: int, batch_idx: int) -> Tensor:
-        """The loss of the next lines of the pool's clouds; what the network says of them stays in the pool."""
+        """Compute the loss of the next lines of the pool's clouds, and save the network's outputs in the pool."""
         assert self.pool is not None
         sample, rows = self.pool.draw(max(1, self.fit.lines_per_batch // self.fit.clouds))
-        # The pool stays on the CPU, which prepares what is next.
+        # The pool is on the CPU, which prepares the batches.
         sample = sample.to(self.device)
         judgement = self.network(sample.edges)
         probe = self.probe(judgement.state).squeeze(1)
@@ -123,7 +123,7 @@ class NetworkModule(lightning.LightningModule):
         return found.total
 
     def optimizer_step(self, *arguments: Any, **named: Any) -> None:
-        """Step, then let the average follow: before any callback saves both."""
+        """Step, then update the average, before any callback saves both."""
         super().optimizer_step(*arguments, **named)
         step = self.global_step
         keep = min(self.fit.averaging, 1 - 1 / (1 + step / _FORGET))
@@ -132,24 +132,24 @@ class NetworkModule(lightning.LightningModule):
                 slow.lerp_(fast, 1 - keep)
 
     def on_train_batch_end(self, outputs: Any, batch: int, batch_idx: int) -> None:
-        """Stop when the time is over."""
+        """Stop when the steps or minutes are used up."""
         if self.done >= 1:
             self.trainer.should_stop = True
 
     def validation_step(self, batch: int, batch_idx: int) -> None:
-        """All rounds of the averaged network on a held-back cloud; each cloud counts the same."""
+        """Run all rounds of the averaged network on a held-back cloud; all clouds have equal weight."""
         figures = torch.zeros(len(_FIGURES))
         if batch < len(self.held_back):
             error = rounds_of(lifted(self.held_back[batch], self.attack, self.device), self.attack)[-1].error
-            # Capped, so that a network that finds a place twice in the same scene is not infinitely good.
+            # Clamped, so that an error of 0 does not give an infinite score.
             score = error.median().clamp_min(1e-3).log()
             figures = torch.stack([score, error.median(), (error <= 1).float().mean()]) / len(self.held_back)
-        # Shares of the mean, summed: processes may have judged different numbers of clouds.
+        # Contributions to the mean, summed: ranks may have judged different numbers of clouds.
         named: dict[str, Tensor] = dict(zip(_FIGURES, figures, strict=True))
         self.log_dict(named, batch_size=1, sync_dist=True, reduce_fx="sum")
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Keep the clock and the pools of all processes."""
+        """Save the clock and the pools of all ranks."""
         assert self.pool is not None
         pools = [self.pool.state_dict()]
         if self.trainer.world_size > 1:
@@ -158,5 +158,5 @@ class NetworkModule(lightning.LightningModule):
         checkpoint["seconds"], checkpoint["pools"] = self.seconds, pools
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Go on with the clock and the pools."""
+        """Restore the clock and the pools."""
         self._seconds_before, self._pools_before = checkpoint["seconds"], checkpoint["pools"]

@@ -1,8 +1,8 @@
-"""The clouds that are being trained on, each on its way through the rounds.
+"""The pool of clouds in training, each in some round of the attack.
 
-A step takes some lines of each cloud; what the network says of them is both learned from and kept. When all lines of
-a cloud have had their turn, what was kept is the state before its next round, and after the last round a new cloud
-takes the place. So every round is trained on estimates that the network really makes, and making them costs nothing.
+A step takes some lines of each cloud; the network's outputs for them are trained on and saved. After one pass over a
+cloud, its saved outputs become the inputs of the next round; after the last round a new cloud replaces it. So every
+round is trained on real estimates of the network, at no extra cost.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from train.sources import Sources
 
 @dataclass
 class Entry:
-    """A cloud in a round: its state before the round, and what the round has found so far.
+    """A cloud in a round: its state before the round, and the outputs saved so far.
 
-    ``order`` is that in which its lines have their turn, ``turn`` how many have had it.
+    ``order`` is the order in which its lines are drawn, ``turn`` the number drawn so far.
     """
 
     source: CloudSource
@@ -46,7 +46,7 @@ class Entry:
 
 
 class Pool:
-    """As many clouds as a batch mixes.
+    """The clouds from which a batch is mixed.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Pool:
     clouds : int
     seed : int
     rank, ranks : int
-        Of this process, of all processes: they share the sources out among themselves.
+        Rank of this process, and number of ranks; each takes its own sources.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Pool:
         self.entries = [self._fresh() for _ in range(clouds)]
 
     def draw(self, lines: int) -> tuple[Sample, list[Int[Tensor, " rows"]]]:
-        """The next lines of every cloud, as one batch, and their rows in each."""
+        """Draw the next lines of every cloud as one batch; return it with their rows in each cloud."""
         rows = [entry.order[entry.turn : entry.turn + lines] for entry in self.entries]
         samples = [
             entry.cloud.sample(self.attack, entry.nodes, entry.candidates, rows)
@@ -76,7 +76,7 @@ class Pool:
 
     @torch.no_grad()
     def keep(self, rows: Sequence[Int[Tensor, " rows"]], moved: Float[Tensor, " batch"], judgement: Judgement) -> None:
-        """Take what the network says of the drawn lines; ``moved`` is counted from the estimate before."""
+        """Save the network's outputs for the drawn lines; ``moved`` is relative to the last estimate."""
         sizes = [len(part) for part in rows]
         for place, (part, beta, found, state) in enumerate(
             zip(rows, moved.split(sizes), judgement.found.split(sizes), judgement.state.split(sizes), strict=True)
@@ -89,7 +89,7 @@ class Pool:
                 self.entries[place] = self._after(entry)
 
     def state_dict(self) -> dict[str, Any]:
-        """What cannot be computed again."""
+        """Return the state that cannot be recomputed."""
         return {
             "drawn": self.drawn,
             "entries": [
@@ -105,7 +105,7 @@ class Pool:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where ``state_dict`` was taken."""
+        """Continue from a ``state_dict``."""
         self.drawn = state["drawn"]
         self.entries = []
         for part in state["entries"]:
@@ -152,7 +152,7 @@ class Pool:
 
 
 def _joined(samples: Sequence[Sample]) -> Sample:
-    """One batch; small clouds have fewer candidates and are padded."""
+    """Join samples to one batch; small clouds have fewer candidates and are padded."""
     k = max(sample.label.shape[1] for sample in samples)
     columns = zip(*(sample.edges for sample in samples), strict=True)
     return Sample(

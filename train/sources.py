@@ -1,4 +1,4 @@
-"""Line clouds for training: every scene again and again, at varying density, each time lifted anew."""
+"""Line clouds for training: every scene many times, at varying density, each time lifted anew."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from l2p.simulator import KINDS
 from train.clouds import CloudSource, read
 from train.train_config import DataSettings
 
-#: First seed of simulated scenes, far from the small seeds that people try.
+#: First seed of simulated scenes, far from the small seeds that users try.
 FIRST_SIMULATED = 10_000
-#: Share of the liftings with as many lines as allowed. They have most of all lines, since the others are small.
+#: Fraction of liftings with as many lines as allowed; they have most of the lines, since the others are small.
 _FULL = 0.2
 
 
 @dataclass(frozen=True)
 class Sources:
-    """An endless list of line clouds: the n-th depends on the seed and n alone.
+    """An endless list of line clouds: the n-th depends only on the seed and n.
 
     Every scene comes once per turn, in another order each turn. A fifth of the liftings take all points of their scene,
-    up to ``max_lines``. The others are thinned such that a random *line* of theirs, the unit of training, is in a cloud
-    of log-uniform size: clouds of n lines have a frequency in proportion to 1 / n^2.
+    up to ``max_lines``. The others are thinned such that a random *line*, the unit of training, is in a cloud of
+    log-uniform size: clouds of n lines have a frequency in proportion to 1 / n^2.
     """
 
     scenes: tuple[tuple[str, int], ...]
@@ -59,7 +59,7 @@ class Sources:
 
 
 def validation_sources(data: DataSettings) -> list[CloudSource]:
-    """One lifting of each held-back scene at each fraction, never more than ``max_lines``."""
+    """One lifting of each held-back scene at each fraction, at most ``max_lines`` lines."""
     sources: list[CloudSource] = []
     for scene in _sources(data.val):
         points = _points(scene)
@@ -77,7 +77,7 @@ def _sources(entries: Sequence[str]) -> list[str]:
 
 
 def _points(scene: str) -> int:
-    """Number of points of a scene; InputError at the start, not at its turn, if it has no extent."""
+    """Number of points of a scene; InputError if it has no extent, so that training fails at the start."""
     points = read(scene).xyz
     try:
         spacing(points)

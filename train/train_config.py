@@ -1,4 +1,4 @@
-"""The config of ``python -m train``: types of every key, and the one place where it turns into plain objects."""
+"""The config of ``python -m train``: types of all keys, and the conversion to plain objects."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "train"
 
 
 def _keys_of(default: Any) -> Any:
-    """The keys of a frozen dataclass of the package, with its values, as a node that hydra may write to."""
+    """Return the keys and values of a frozen dataclass of the package, as a node that hydra may write to."""
     hints = get_type_hints(type(default))
     keys = []
     for name, value in ((entry.name, getattr(default, entry.name)) for entry in fields(default)):
         if is_dataclass(value):
             keys.append((name, nested := _keys_of(value), field(default_factory=nested)))
-        elif isinstance(value, tuple):  # OmegaConf knows no tuples
+        elif isinstance(value, tuple):  # OmegaConf has no tuples
             kind = list[get_args(hints[name])[0]]
             keys.append((name, kind, field(default_factory=lambda value=value: list(value))))
         else:
@@ -40,7 +40,7 @@ NetworkKeys, LearnedKeys = _keys_of(NetworkConfig()), _keys_of(LearnedConfig())
 
 @dataclass
 class TrainerKeys:
-    """What is handed to Lightning's trainer."""
+    """Keys passed to Lightning's trainer."""
 
     accelerator: str = MISSING
     devices: int = MISSING
@@ -51,7 +51,7 @@ class TrainerKeys:
 
 @dataclass
 class DataSettings:
-    """Which line clouds are trained and judged on."""
+    """Line clouds for training and validation."""
 
     seed: int = MISSING
     scenes: list[str] = MISSING
@@ -65,7 +65,7 @@ class DataSettings:
 
 @dataclass
 class FitSettings:
-    """How the network is trained."""
+    """Settings of the training."""
 
     seed: int = MISSING
     steps: int = MISSING
@@ -83,7 +83,7 @@ class FitSettings:
 
 @dataclass
 class TrainConfig(DataSettings, FitSettings):
-    """The keys of ``configs/train/train.yaml``, where each is explained."""
+    """Keys of ``configs/train/train.yaml``, which explains each."""
 
     name: str = MISSING
     run: str = MISSING
@@ -109,9 +109,9 @@ class Settings:
     resolved: dict[str, Any]
 
 
-#: Keys that may change between two starts of one run; all others make another model.
+#: Keys that may change between two starts of one run; all others change the model.
 CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "trainer")
-#: The least that whole numbers may be; a single line has no neighbour.
+#: Least values of whole numbers; a single line has no neighbour.
 _LEAST = {
     "min_lines": 2,
     **dict.fromkeys(("seed", "simulated", "warmup"), 0),

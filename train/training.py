@@ -1,4 +1,4 @@
-"""The run: train, calibrate on held-back clouds, and write one checkpoint."""
+"""The training run: train, calibrate on held-back clouds, and write one checkpoint."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ from train.sources import Sources, validation_sources
 from train.train_config import CHANGEABLE, Settings
 
 log = logging.getLogger("train")
-# Of several processes, the first one speaks.
+# Only rank 0 logs.
 log.addFilter(lambda _: rank_zero_only.rank == 0)
 
-#: Exit code of a process that was told to end, as shells have it.
+#: Exit code after SIGTERM, by the convention of shells.
 _TERMINATED = 128 + signal.SIGTERM
-#: Beginnings of Lightning's warnings about what is so on purpose.
+#: Patterns of Lightning's warnings that are suppressed: these conditions are intended.
 _MEANT = (
     "Checkpoint directory .* exists and is not empty",
     "The '.*' does not have many workers",
@@ -55,12 +55,12 @@ MODEL = "model.safetensors"
 
 
 def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequence[Callback] = ()) -> Path:
-    """Run, or finish, the run in ``folder``; gives the exported checkpoint.
+    """Start or continue the run in ``folder``; return the path of the exported checkpoint.
 
     Raises
     ------
     FileNotFoundError, InputError
-        If a scene is not there, or the run in the folder was started with another config.
+        If a scene is missing, or the run in the folder was started with another config.
     """
     folder.mkdir(parents=True, exist_ok=True)
     _check_config(settings, folder)
@@ -85,7 +85,7 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
         try:
             trainer.fit(module, ckpt_path=str(last) if last.exists() else None, weights_only=True)
         except SIGTERMException as stop:
-            raise SystemExit(_TERMINATED) from stop  # Lightning would have it a success
+            raise SystemExit(_TERMINATED) from stop  # Lightning would exit with 0
     model = folder / MODEL
     if trainer.is_global_zero:
         about = {
@@ -99,7 +99,7 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
 
 @contextmanager
 def _quiet_lightning() -> Iterator[None]:
-    """Without advertisements, and without warnings about what is meant: no workers, a folder that is continued."""
+    """Suppress advertisements, and warnings about intended conditions: no workers, an existing folder."""
     loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -147,7 +147,7 @@ def _export(
     sources: Sources,
     about: dict[str, Any],
 ) -> None:
-    """Calibrate and judge the network on the held-back clouds; then the checkpoint, and the facts about it as JSON."""
+    """Calibrate and judge the network on the held-back clouds; write the checkpoint, and its facts as JSON."""
     held_back = validation_sources(settings.data)
     attack = Learned(network, settings.learned)
     judged: list[list[Judged]] = []
@@ -182,7 +182,7 @@ def _export(
 
 
 def _sweep(folder: Path) -> None:
-    """Take away what a run that was killed left half-written."""
+    """Remove unfinished files of a killed run."""
     if rank_zero_only.rank == 0:
         for left in folder.glob(".l2p-*.tmp"):
             left.unlink(missing_ok=True)
@@ -196,7 +196,7 @@ def _check_state(last: Path) -> None:
 
 
 def _check_config(settings: Settings, folder: Path) -> None:
-    """A run goes on with the config that it was started with, but for ``CHANGEABLE``."""
+    """Check that a continued run has the config of its start, except for ``CHANGEABLE``."""
     file = folder / "config.yaml"
     if file.exists():
         try:

@@ -1,4 +1,4 @@
-"""The contract of an attack: what it is given, what it returns, and the rounds in between.
+"""The contract of an attack: its inputs, its result, and the rounds in between.
 
 :mod:`l2p.attacks.run` drives every attack through the same loop::
 
@@ -7,7 +7,7 @@
         state = attack.step(state, work)       # and attack.saved(state) is saved
     estimate = attack.finish(state, work)
 
-so that resuming, sharing lines out over processes and progress come with the loop and not with the attack.
+Resuming, distribution over processes and progress are done by this loop, so no attack implements them.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from l2p.work.work import Work
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """A map as an attack sees it: lines as tensors in the working frame, in an order of their own.
+    """The input of an attack: lines as tensors in the working frame, sorted by their coordinates.
 
-    Sums, and choices between equals, depend on the order of the lines; sorted by their coordinates they give the same
-    points however they come (:mod:`l2p.geometry.frame`).
+    Sums and choices between equal values depend on the order of the lines; sorting makes the points independent of the
+    order in the map (:mod:`l2p.geometry.frame`).
 
     Attributes
     ----------
     lines : Lines
         In the working frame.
     row : (lines,) int64
-        Row of each line in the map as it was given.
+        Row of each line in the map.
     frame : Frame
-        Leads to scene units, for references that know the truth.
+        Converts to scene units, for references that know the truth.
     attributes : mapping
-        Published beside the lines, one row per line: ``rgb`` (lines, 3) in [0, 1].
+        Data published with the lines, one row per line: ``rgb`` (lines, 3) in [0, 1].
     """
 
     lines: Lines
@@ -62,11 +62,11 @@ class Elements:
 
 
 class Estimate(NamedTuple):
-    """Positions on lines, in the working frame, and what they rest on; of the lines of this process.
+    """Positions on the lines of this process, in the working frame, with the neighbours that voted for them.
 
-    ``confidence`` is in [0, 1], 0 where a line had no vote and was placed next to the centre. ``neighbors`` is -1 and
+    ``confidence`` is in [0, 1], 0 where a line had no vote: its point is at the foot. ``neighbors`` is -1 and
     ``affinity`` 0 where a line has fewer than k neighbours. ``element`` is the line of each position, for attacks that
-    place several points on a line or none; None: one on each line, in order.
+    place several points or none on a line; None: one point per line, in order.
     """
 
     beta: Float[Tensor, " points"]
@@ -77,18 +77,18 @@ class Estimate(NamedTuple):
 
 
 class Attack:
-    """The base of all attacks, references and users' own methods; ``finish`` is all that one without rounds writes.
+    """Base class of all attacks, references and users' own methods; one without rounds needs only ``finish``.
 
     Attributes
     ----------
     rounds : int
-        Times that ``step`` is called.
+        Number of calls of ``step``.
     calibrated : bool
-        The confidence is the probability of lying within 1 spacing, and does not only rank.
+        True: the confidence is the probability of lying within 1 spacing; False: it only ranks.
     line_bytes : float or None
-        Bytes held per line, besides the temporaries of blocks; None: memory is not bounded.
+        Bytes held per line, without the temporaries of blocks; None: memory is not bounded.
     columns : mapping
-        Name of each tensor that is saved after a round, and its shape per line.
+        Name of each tensor that is saved after a round, with its shape per line.
     """
 
     rounds: int = 0
@@ -102,7 +102,7 @@ class Attack:
         Parameters
         ----------
         elements : Elements
-            All lines, also where several processes share them.
+            All lines, also if several processes share the work.
         saved : mapping or None
             Tensors of all lines, by the names in ``columns``; None for a fresh run.
         """
@@ -121,7 +121,7 @@ class Attack:
         raise NotImplementedError
 
     def settings(self) -> dict[str, Any]:
-        """Return plain values that say what was run, for the record."""
+        """Return the settings of the attack as plain values, for the record."""
         return {}
 
 

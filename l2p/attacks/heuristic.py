@@ -30,11 +30,11 @@ class HeuristicConfig(HeuristicSettings):
         ``outdoor``: 500 nearest lines, then 200; 100 and 50 at 5 % of the points or less. ``indoor``: 250 and 100;
         50 and 25.
     fraction : float
-        Share of the map's points that the line cloud holds, in (0, 1], as far as it is known.
+        Fraction of the map's points in the line cloud, in (0, 1], as far as it is known.
     rounds : int
         Refinements after the coarse stage.
     intersection : int
-        N_pl and N_lp are intersected where more than this many lines are in both, else N_pl stands alone.
+        N_pl and N_lp are intersected if they have more than this many lines in common; otherwise N_pl is used.
     peak : PeakConfig
     """
 
@@ -72,10 +72,10 @@ class _State(NamedTuple):
 
 
 class Heuristic(Attack):
-    """The paper's attack: the nearest lines first, then those that are near both ways, N_pl and N_lp.
+    """The paper's attack: votes of the nearest lines first, then of lines in both N_pl and N_lp.
 
-    O(rounds x lines^2) time, O(lines k) memory. Self is excluded and origins are canonical; the published code has
-    neither, which favours it (``docs/``, "Fairness").
+    O(rounds x lines^2) time, O(lines k) memory. A line is not its own neighbour, and origins are canonical; the
+    published code does neither, which favours it (``docs/``, "Fairness").
     """
 
     columns: Mapping[str, tuple[int, ...]] = {"beta": ()}
@@ -105,7 +105,7 @@ class Heuristic(Attack):
         return vote(state.lines, state.neighbors, peak=self.config.peak, work=work)
 
     def _around(self, lines: Lines, beta: Float[Tensor, " lines"], work: Work) -> _State:
-        """The neighbours N_pl of each line that are also in N_lp of its estimate, where these are enough."""
+        """Find the neighbours: N_pl of each line, intersected with N_lp of its estimate if enough remain."""
         points = lines.at(beta)
         near_line = nearest_points_to_lines(lines, points, self.config.fine, work=work).index
         near_point = nearest_lines_to_points(points, lines, self.config.fine, work=work).index
@@ -114,10 +114,10 @@ class Heuristic(Attack):
         return _State(lines, beta, near_line.masked_fill(~both & enough, -1))
 
     def settings(self) -> dict[str, Any]:
-        """The configuration, and the neighbour counts that it leads to."""
+        """Return the configuration and its neighbour counts."""
         return {**asdict(self.config), "coarse": self.config.coarse, "fine": self.config.fine}
 
 
 def build(settings: HeuristicSettings) -> Heuristic:
-    """The attack with these settings."""
+    """Build the attack with these settings."""
     return Heuristic(HeuristicConfig(**asdict(settings)))

@@ -1,4 +1,4 @@
-"""From a name and settings to an attack."""
+"""Attacks built from a name and settings."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from l2p.errors import InputError
 
 
 def named_attack(name: str, **settings: Any) -> Attack:
-    """Build an attack: one of l2p by its name, or a user's own by ``package.module:Attack``.
+    """Build an attack of l2p by its name, or a user's own by ``package.module:Attack``.
 
     Parameters
     ----------
     name : str
     settings
-        Of the attack (:mod:`l2p.attacks.settings`), or of the user's class; None stands for the default.
+        Settings of the attack (:mod:`l2p.attacks.settings`) or of the user's class; None is the default.
 
     Raises
     ------
@@ -46,12 +46,12 @@ def named_attack(name: str, **settings: Any) -> Attack:
 
 
 def imported(path: str) -> Callable[..., Any]:
-    """The callable at ``package.module:callable``; modules in the working folder are found.
+    """Import ``package.module:callable``, also from the working folder.
 
     Raises
     ------
     InputError
-        If it cannot be imported or is no callable.
+        If it cannot be imported or is not callable.
     """
     module, _, name = path.partition(":")
     if str(Path.cwd()) not in sys.path and "" not in sys.path:

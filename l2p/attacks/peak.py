@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-#: Statistics that differ by less are equal up to rounding.
+#: Difference of two statistics below which they count as equal: rounding.
 _EQUAL = 1e-6
 
 
@@ -32,10 +32,10 @@ class PeakConfig:
     threshold : float
         Stop when Kuiper's statistic falls below this (0.4 in the paper's text, 0.3-0.4 in its appendix).
     minimum : int
-        Stop when no more votes than this are left.
+        Stop when at most this many votes are left.
     trim : int
-        Lowest and highest votes that are dropped first; fewer where that would leave fewer than ``minimum``.
-        Near-parallel neighbours vote for places far outside the scene.
+        Number of lowest and of highest votes that are dropped first, since near-parallel neighbours vote far outside
+        the scene; fewer if less than ``minimum`` votes would be left.
     """
 
     threshold: float = 0.3
@@ -56,18 +56,18 @@ def find_peak(
     weight: Float[Tensor, "lines k"] | None = None,
     config: PeakConfig | None = None,
 ) -> Float[Tensor, " lines"]:
-    """Find the peak of the votes of each line: the weighted median of the votes in it, NaN without a valid vote.
+    """Find the peak of the votes of each line; return the weighted median of its votes, NaN without a valid vote.
 
     Parameters
     ----------
     beta : (lines, k)
         Votes, positions along the line. NaN and infinite votes count as absent.
     weight : (lines, k), optional
-        Weight of each vote, at least 0; 0 is absent. Equal weights when left out.
+        Weight of each vote, at least 0; 0 is absent. Default: equal weights.
 
     Notes
     -----
-    O(k log k) per line. One vote is its own peak, and so are equal votes.
+    O(k log k) per line. A single vote is its own peak, and so are equal votes.
     """
     config = config or PeakConfig()
     weight = torch.ones_like(beta) if weight is None else weight
@@ -81,7 +81,7 @@ def find_peak(
     while len(active):
         low, high, value = _interval(inner)
         length = high - low + 1
-        # The interval is taken even if its statistic ends the search, as in the published code.
+        # The interval is used even if its statistic ends the search, as in the published code.
         again = (value >= config.threshold) & (length > config.minimum) & (length < inner.count)
         first[active] += low
         count[active] = length
@@ -100,7 +100,7 @@ def settled(
 ) -> Float[Tensor, " lines"]:
     """Refine peaks by an M-estimate of location, for votes with Cauchy errors of scale ``spread``.
 
-    Minimises sum_k w_k log(1 + ((beta - p_k) / s_k)^2) from the peak on, by iteratively reweighted least squares
+    Minimises sum_k w_k log(1 + ((beta - p_k) / s_k)^2), starting at the peak, by iteratively reweighted least squares
     (Holland and Welsch, Communications in Statistics 6, 1977). Votes of other peaks have little weight.
 
     Parameters
@@ -133,7 +133,7 @@ def _order(beta: Float[Tensor, "lines k"]) -> Int[Tensor, "lines k"]:
     """Indices that sort the votes of each line; equal votes in any order."""
     if beta.device.type != "cpu":
         return beta.argsort(dim=1)
-    # NumPy sorts with the processor's vector instructions, several times as fast as torch does.
+    # NumPy sorts with vector instructions, several times faster than torch.
     return torch.from_numpy(np.argsort(beta.detach().numpy(), axis=1))
 
 
@@ -149,7 +149,7 @@ def _trimmed(votes: _Votes, config: PeakConfig) -> _Votes:
 def _slice(
     votes: _Votes, rows: Int[Tensor, " some"], first: Int[Tensor, " some"], count: Int[Tensor, " some"]
 ) -> _Votes:
-    """Votes first ... first + count - 1 of the lines ``rows``, with no more padding than needed."""
+    """Votes first ... first + count - 1 of the lines ``rows``, with the least padding."""
     width = int(count.max()) if len(count) else 0
     position = torch.arange(width, device=count.device)
     absent = position >= count[:, None]
@@ -162,7 +162,7 @@ def _slice(
 
 
 def _interval(votes: _Votes) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines"], Float[Tensor, " lines"]]:
-    """First and last vote of the peak of each line, and Kuiper's statistic of it."""
+    """First and last vote of the peak of each line, and its Kuiper statistic."""
     absent = torch.arange(votes.beta.shape[1], device=votes.beta.device) >= votes.count[:, None]
     last = votes.count[:, None] - 1
     start, end = votes.beta[:, :1], torch.gather(votes.beta, 1, last)
@@ -174,7 +174,7 @@ def _interval(votes: _Votes) -> tuple[Int[Tensor, " lines"], Int[Tensor, " lines
     before = (cumulative - votes.weight) / total - uniform
     before, after = before.masked_fill_(absent, torch.inf), after.masked_fill_(absent, -torch.inf)
     low, high, value = _best_segment(before, after)
-    # All votes in one place: F - U means nothing there.
+    # If all votes are equal, F - U has no meaning.
     return low, high, value.masked_fill(span[:, 0] <= 0, 0).clamp(0, 1)
 
 
@@ -190,8 +190,8 @@ def _best_segment(
     highest = before.new_full(shape, -torch.inf).scatter_reduce(1, segment, after, "amax")
     value = highest - lowest
     greatest = value.amax(dim=1)
-    # Evenly spaced votes are segments of one vote and equal statistic: the interval spans all of the best segments, so
-    # that it does not depend on the sign of the line.
+    # Evenly spaced votes give one-vote segments of equal statistic: the interval spans all the best segments, so that
+    # it does not depend on the sign of the line.
     best = torch.gather(value >= greatest[:, None] - _EQUAL, 1, segment)
     starts = best & (before == torch.gather(lowest, 1, segment))
     ends = best & (after == torch.gather(highest, 1, segment))
@@ -200,7 +200,7 @@ def _best_segment(
 
 
 def _median(votes: _Votes, first: Int[Tensor, " lines"], count: Int[Tensor, " lines"]) -> Float[Tensor, " lines"]:
-    """Weighted median of each line's interval; the mean of the two middle votes where they share the middle."""
+    """Weighted median of each line's interval; the mean of the two middle votes in case of a tie."""
     everything = torch.arange(len(count), device=count.device)
     inner = _slice(votes, everything, first, count)
     if inner.beta.shape[1] == 0:

@@ -1,4 +1,4 @@
-"""From a line cloud to points: choose a method, run it in the working frame, come back to scene units."""
+"""Recovery of points from a line cloud: choose a method, run it in the working frame, convert to scene units."""
 
 from __future__ import annotations
 
@@ -47,24 +47,23 @@ def recover(
         ``learned``: tomography, then rounds of a network that weighs the votes (:mod:`l2p.attacks.learned.learned`).
         ``tomography``: expectation maximisation on a sparse grid, then the votes around its modes
         (:mod:`l2p.attacks.tomography.reconstruct`). ``heuristic``: the attack of Chelani et al. (CVPR 2021). A user's
-        own: ``package.module:Attack``, or an :class:`l2p.attacks.attack.Attack`.
+        own method: ``package.module:Attack``, or an :class:`l2p.attacks.attack.Attack`.
     device : str
         A torch device.
     memory : float, optional
-        GiB that the attack may take beyond what the process holds already; four fifths of what is free when left out.
-        Work is done in blocks that fit; the answer does not depend on it. Of a device that is not the CPU, nothing is
-        known when it is left out.
+        GiB that the attack may use beyond the present memory of the process; default: four fifths of the free memory.
+        Work is done in blocks that fit; the result does not depend on it. On a GPU, memory is unlimited unless given.
     progress : Progress
-        Shows how far the work is.
+        Display of the progress.
     **settings
-        Of the method; those left out, or None, have their defaults (:mod:`l2p.attacks.settings`):
+        Settings of the method; omitted ones, or None, have their defaults (:mod:`l2p.attacks.settings`):
 
         - ``checkpoint`` (path): weights for ``learned``, as ``python -m train`` writes them.
-        - ``rounds`` (int): rounds of refinement. ``learned`` has as many as its checkpoint was trained for; 0 leaves
-          the modes of the tomography, and the coarse stage of the heuristic.
-        - ``fraction`` (float): share of the map's points that the lines hold, in (0, 1]. ``heuristic`` chooses its
-          numbers of neighbours by it; the confidence of ``learned`` is that of lying within 1 spacing of the map, which
-          is less than a spacing of the points behind the lines.
+        - ``rounds`` (int): rounds of refinement. ``learned`` has as many as its checkpoint was trained for; 0 returns
+          the modes of the tomography, or the coarse stage of the heuristic.
+        - ``fraction`` (float): fraction of the map's points in the line cloud, in (0, 1]. ``heuristic`` chooses its
+          neighbour counts by it; the confidence of ``learned`` is that of lying within 1 spacing of the map, which is
+          smaller than the spacing of the points behind the lines.
         - ``scene_kind`` (str): ``indoor`` or ``outdoor``, for the heuristic's table of neighbours.
 
     Returns
@@ -104,11 +103,11 @@ def run(
     work: Work = ALONE,
     name: str = "",
 ) -> Recovery:
-    """Run any attack, a bound or a user's own, on a line cloud.
+    """Run any attack, also a bound or a user's own, on a line cloud.
 
-    With several processes in ``work.shards``, this is the first one; :func:`assist` runs in the others. The run
-    continues from the last round in ``work.journal``. ``memory`` (GiB per process) bounds attacks that say how many
-    bytes they hold per line.
+    With several processes in ``work.shards``, rank 0 calls this function and the other ranks :func:`assist`. The run
+    continues from the last round in ``work.journal``. ``memory`` (GiB per process) limits attacks that declare their
+    ``line_bytes``.
     """
     if len(lines) == 0:
         raise InputError("got a line cloud without lines; expected at least one line")
@@ -147,12 +146,12 @@ def run(
 
 
 def assist(attack: Attack, shards: Shards, *, device: str = "cpu", memory: float | None = None) -> None:
-    """Do this process's share, another than the first, of what :func:`run` does in the first one.
+    """Do the part of this rank, other than 0, in the :func:`run` of rank 0.
 
     Raises
     ------
     InputError
-        If this process has another attack, other settings, another checkpoint or another version of l2p than the first.
+        If this rank has another attack, other settings, another checkpoint or another version of l2p than rank 0.
     """
     where, work = usable_device(device), Work(shards)
     with torch.inference_mode():
@@ -163,7 +162,7 @@ def assist(attack: Attack, shards: Shards, *, device: str = "cpu", memory: float
 
 
 def _collected(estimate: Estimate, count: int, work: Work) -> Estimate:
-    """The estimates of all processes, at the first one; ``element`` counts all lines."""
+    """Collect the estimates of all ranks on rank 0; ``element`` counts all lines."""
     if estimate.element is None:
         return Estimate(*(work.shards.collect(column, count) for column in estimate[:4]))
     if work.shards.processes > 1:
@@ -175,7 +174,7 @@ def _collected(estimate: Estimate, count: int, work: Work) -> Estimate:
 
 
 def _in_map_order(estimate: Estimate, row: Int[Tensor, " lines"]) -> Estimate:
-    """Estimates in the order of the lines as they were given; ``row`` says where each line stood."""
+    """Sort estimates into the order of the map; ``row`` is the row of each line in it."""
     line = row if estimate.element is None else row[estimate.element]
     order = line.argsort(stable=True)
     near = estimate.neighbors[order]
@@ -185,14 +184,14 @@ def _in_map_order(estimate: Estimate, row: Int[Tensor, " lines"]) -> Estimate:
 
 
 def _room(attack: Attack, where: torch.device, memory: float | None, lines: int, work: Work) -> int | None:
-    """Bytes for the blocks of this process; None where nothing bounds them."""
+    """Bytes for the blocks of this process; None for no limit."""
     if attack.line_bytes is None or (memory is None and where.type != "cpu"):
         return None
     return allotted(memory, math.ceil(lines / work.shards.processes), attack.line_bytes)
 
 
 def _about(lines: LineCloud, attack: Attack, name: str) -> dict[str, Any]:
-    """What makes a run the same as another, for its journal."""
+    """Identity of a run, for its journal: the same for the same lines, method, settings and version."""
     digest = hashlib.sha256(lines.direction.tobytes() + lines.moment.tobytes())
     return {
         "lines": digest.hexdigest(),
@@ -203,7 +202,7 @@ def _about(lines: LineCloud, attack: Attack, name: str) -> dict[str, Any]:
 
 
 def _check_same(shards: Shards, attack: Attack, where: torch.device) -> None:
-    """Refuse a process that was started with other words than the first."""
+    """Refuse a rank whose attack, settings or version differ from those of rank 0."""
     same = json.dumps([__version__, type(attack).__name__, attack.settings()], sort_keys=True)
     own = torch.frombuffer(bytearray(hashlib.sha256(same.encode()).digest()), dtype=torch.uint8).to(where)
     if not torch.equal(shards.first(own.clone()), own):
@@ -214,7 +213,7 @@ def _check_same(shards: Shards, attack: Attack, where: torch.device) -> None:
 
 
 def _send(elements: Elements, shards: Shards) -> None:
-    """Send the lines of the first process to the others, the same bits everywhere."""
+    """Send the lines of rank 0 to the other ranks, equal to the bit."""
     if shards.processes == 1:
         return
     shapes = {name: list(value.shape[1:]) for name, value in elements.attributes.items()}
@@ -225,7 +224,7 @@ def _send(elements: Elements, shards: Shards) -> None:
 
 
 def _received(shards: Shards, where: torch.device) -> Elements:
-    """Receive the lines of the first process."""
+    """Receive the lines of rank 0."""
     header = shards.first_json(None, where)
     count = header["lines"]
     direction, moment = (shards.first(torch.empty(count, 3, device=where)) for _ in range(2))
@@ -237,7 +236,7 @@ def _received(shards: Shards, where: torch.device) -> Elements:
 
 
 def usable_device(name: str) -> torch.device:
-    """The torch device of that name, if this machine has it."""
+    """Return the torch device of this name; InputError if this machine does not have it."""
     available = ["cpu"]
     if torch.cuda.is_available():
         available += ["cuda", *(f"cuda:{i}" for i in range(torch.cuda.device_count()))]

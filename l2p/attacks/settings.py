@@ -1,5 +1,5 @@
 """Settings of the attacks, each declared once: it becomes a flag of ``l2p recover``, a keyword of ``l2p.recover``, a
-key of ``python -m eval`` and an entry of the record. Nothing here loads torch, so that ``l2p --help`` is light.
+key of ``python -m eval`` and an entry of the record. Nothing here loads torch, so that ``l2p --help`` is fast.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ SCENE_KINDS = ("indoor", "outdoor")
 
 
 def setting(default: Any, help: str, shown: str = "", **flag: Any) -> Any:
-    """A field with its help; ``shown`` stands for a default of None, ``flag`` goes to the argument parser."""
+    """Declare a field with its help; ``shown`` describes a default of None, ``flag`` goes to the argument parser."""
     return field(default=default, metadata={"help": help, "shown": shown or str(default), "flag": flag})
 
 
@@ -63,7 +63,7 @@ class Row(NamedTuple):
         return tuple(entry.name for entry in fields(self.settings))
 
 
-#: Every attack that has a name.
+#: Attacks by name.
 ATTACKS = {
     "learned": Row(LearnedSettings, "l2p.attacks.learned.checkpoint:build"),
     "tomography": Row(TomographySettings, "l2p.attacks.tomographic:build"),
@@ -74,7 +74,7 @@ DEFAULT_METHOD = "learned"
 
 
 def owners_of(name: str) -> list[str]:
-    """The attacks that have a setting."""
+    """Names of the attacks that have this setting."""
     return [method for method, row in ATTACKS.items() if name in row.names]
 
 

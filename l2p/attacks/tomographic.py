@@ -1,4 +1,4 @@
-"""The tomographic attack: modes of the posterior, then the votes of the lines whose estimates are near."""
+"""The tomographic attack: modes of the posterior, then votes of the lines with the nearest estimates."""
 
 from __future__ import annotations
 
@@ -30,10 +30,9 @@ class TomographicConfig(TomographySettings):
     tomography : TomographyConfig
         The coarse stage.
     nearest : int
-        Voters: the lines whose estimates are nearest to a line's own.
+        Voters per line: the lines whose estimates are nearest to its own.
     rounds : int
-        Times that the votes are taken, first around the modes of the posterior, then around the estimates of the round
-        before; 0 leaves the modes.
+        Rounds of votes, first around the modes of the posterior, then around the last estimates; 0 returns the modes.
     peak : PeakConfig
     """
 
@@ -47,7 +46,7 @@ class TomographicConfig(TomographySettings):
 
 
 class _State(NamedTuple):
-    """Posterior of this process's lines, estimates of all lines, and the estimates nearest to each of its own."""
+    """Posterior of this process's lines, estimates of all lines, and the nearest estimates to each of its own."""
 
     lines: Lines
     posterior: Posterior
@@ -56,7 +55,7 @@ class _State(NamedTuple):
 
 
 class Tomography(Attack):
-    """The mode of the tomographic posterior, then the votes of the lines whose modes are near
+    """The mode of the tomographic posterior, then votes of the lines with the nearest estimates
     (:mod:`l2p.attacks.tomography.reconstruct`).
 
     O(lines x segments) for the posterior, O(lines log lines) for the search of the voters. The confidence is the
@@ -71,7 +70,7 @@ class Tomography(Attack):
         self.rounds = self.config.rounds
 
     def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> _State:
-        """Reconstruct the posterior, which the confidence needs whatever is saved, and take its modes."""
+        """Reconstruct the posterior, which the confidence always needs; without saved estimates, take its modes."""
         lines = elements.lines
         posterior = reconstruct(lines, self.config.tomography, work)
         beta = work.gather(modes(posterior)[0], len(elements)) if saved is None else saved["beta"]
@@ -84,7 +83,7 @@ class Tomography(Attack):
         return self._around(lines, state.posterior, work.gather(beta, len(state.beta)), work)
 
     def finish(self, state: _State, work: Work) -> Estimate:
-        """Read the confidence of the estimates off the posterior."""
+        """Compute the confidence of the estimates from the posterior."""
         count = len(state.beta)
         distance = work.gather(state.near.distance, count)
         radius = 2 * float(distance.median()) if distance.numel() else 0.0
@@ -95,10 +94,10 @@ class Tomography(Attack):
         return _State(lines, posterior, beta, nearest_points_to_points(lines.at(beta), self.config.nearest, work=work))
 
     def settings(self) -> dict[str, Any]:
-        """The configuration."""
+        """Return the configuration."""
         return asdict(self.config)
 
 
 def build(settings: TomographySettings) -> Tomography:
-    """The attack with these settings."""
+    """Build the attack with these settings."""
     return Tomography(TomographicConfig(**asdict(settings)))

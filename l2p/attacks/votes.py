@@ -12,7 +12,7 @@ from l2p.geometry.elements import Lines
 from l2p.geometry.pairs import closest_points
 from l2p.work.work import ALONE, Work
 
-#: Most votes in one block of the peak search, and bytes of temporaries per vote.
+#: Most votes per block of the peak search, and bytes of temporaries per vote.
 VOTES, _VOTE_BYTES = 1 << 21, 60
 
 
@@ -23,9 +23,9 @@ def vote(
     peak: PeakConfig | None = None,
     work: Work = ALONE,
 ) -> Estimate:
-    """Estimate by the peak of the closest points to the neighbours; its support is the confidence.
+    """Estimate the point of each line by the peak of its closest points to the neighbours.
 
-    Affinities weight the votes; without them each neighbour has one vote.
+    The confidence is the support of the peak. Affinities weight the votes; without them all weights are equal.
     """
     weight = equal_weights(lines, neighbors) if affinity is None else affinity
     beta = peaks(lines, neighbors, weight, peak, work)
@@ -44,7 +44,7 @@ def peaks(
     peak: PeakConfig | None = None,
     work: Work = ALONE,
 ) -> Float[Tensor, " own"]:
-    """The peak of the neighbours' votes on each line; the foot, 0, where there is no vote. Blocked over lines."""
+    """Find the peak of the neighbours' votes on each line, in blocks; 0, the foot, where there is no vote."""
     own = lines.rows(work.own(len(lines.direction)))
     beta = lines.direction.new_zeros(len(neighbors))
     with work.task("peaks of the votes", total=len(neighbors)) as advance:
@@ -62,11 +62,11 @@ def support(
     beta: Float[Tensor, " own"],
     work: Work = ALONE,
 ) -> Float[Tensor, " own"]:
-    """Votes near the estimate over all votes that a line could have had, in [0, 1].
+    """Fraction of a line's possible votes that are near the estimate, in [0, 1].
 
-    Near means within the median, over the lines, of the median distance of a line's votes from its estimate. It ranks
-    lines (column ``confidence_auc`` of ``python -m eval``); Kuiper's statistic does not, since it tells sharp peaks,
-    right or wrong, from blunt ones.
+    Near is within the median, over the lines, of the median distance of a line's votes from its estimate. The support
+    ranks lines (column ``confidence_auc`` of ``python -m eval``); Kuiper's statistic does not: it separates sharp
+    peaks, right or wrong, from blunt ones.
     """
     own = lines.rows(work.own(len(lines.direction)))
     distance = lines.direction.new_full((len(neighbors),), torch.nan)
@@ -102,7 +102,7 @@ def _blocks(neighbors: Int[Tensor, "lines k"], work: Work) -> list[slice]:
 
 
 def member(values: Int[Tensor, "lines k"], sets: Int[Tensor, "lines m"]) -> Bool[Tensor, "lines k"]:
-    """Whether each of a line's values is in its set; -1 is in none."""
+    """Test whether each value of a line is in its set; -1 is in none."""
     if sets.shape[1] == 0:
         return torch.zeros_like(values, dtype=torch.bool)
     ordered = sets.sort(dim=1).values

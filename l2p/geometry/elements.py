@@ -17,23 +17,23 @@ class Lines(NamedTuple):
 
     @property
     def foot(self) -> Float[Tensor, "lines 3"]:
-        """o = d x m, the point of each line nearest to the frame's origin."""
+        """Foot o = d x m, the point of each line nearest to the frame's origin."""
         return torch.linalg.cross(self.direction, self.moment)
 
     def at(self, beta: Float[Tensor, " lines"]) -> Float[Tensor, "lines 3"]:
-        """The points o + beta d."""
+        """Points o + beta d."""
         return self.foot + beta[:, None] * self.direction
 
     def rows(self, index: slice | Int[Tensor, " some"]) -> Lines:
-        """Some of the lines."""
+        """Select lines."""
         return Lines(self.direction[index], self.moment[index])
 
 
 def picked(column: Shaped[Tensor, "rows ..."], index: Int[Tensor, "some k"]) -> Shaped[Tensor, "some k ..."]:
-    """``column[index]``, which torch does in a third of the time this way."""
+    """Return ``column[index]``, in a third of the time of torch's indexing."""
     return column.index_select(0, index.flatten()).view(*index.shape, *column.shape[1:])
 
 
 def crosswise(vectors: Float[Tensor, "rows 3"]) -> Float[Tensor, "rows 3"]:
-    """The coordinate axis that is most nearly at right angles to each vector."""
+    """Coordinate axis most nearly perpendicular to each vector."""
     return torch.zeros_like(vectors).scatter_(1, vectors.abs().argmin(dim=1, keepdim=True), 1)

@@ -1,16 +1,16 @@
 """Exact nearest-neighbour search among lines and points, blocked, in plain torch.
 
-Every distance is a matrix product of small rank, so a block of queries against a block of the others is a few fused
-passes over a tile that fits the cache, followed by a selection of the k smallest. No array grows with lines x lines:
-a tile holds ``TILE`` numbers, the answer lines x k. Among ``MANY`` points, those nearest to lines are found by a tree
-(:mod:`l2p.geometry.tree_search`).
+Every distance is a matrix product of small rank, so the distances of a block of queries to a block of others take a few
+fused passes over a tile that fits the cache, followed by a selection of the k smallest. No array grows with
+lines x lines: a tile holds ``TILE`` numbers, the result lines x k. From ``MANY`` points on, those nearest to lines are
+found by a tree (:mod:`l2p.geometry.tree_search`).
 
-Lines may be shared out over processes (:mod:`l2p.work.shards`): ``work`` says which lines or points are queries,
-among all others.
+Lines may be distributed over processes (:mod:`l2p.work.shards`): ``work`` selects the lines or points that are queries
+of this process; they are compared with all others.
 
-Self (query i against other i) is never a neighbour. Parallel pairs of lines have no distance. Rows are sorted by
-distance, and by index where that is equal; where a query has fewer than k neighbours, the rest is index -1 at distance
-infinity. With k >= lines the answer has lines - 1 columns; a single line has none.
+Item i is never a neighbour of query i. Parallel pairs of lines have no distance. Rows are sorted by distance, equal
+distances by index; if a query has fewer than k neighbours, the rest is index -1 at distance infinity. With k >= lines
+the result has lines - 1 columns; for a single line, none.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from l2p.geometry.tree_search import nearest_points
 from l2p.work.threads import even_size
 from l2p.work.work import ALONE, Work
 
-#: Numbers in one tile of distances: 8 MB in single precision, so that a tile and its temporaries stay near the cache.
+#: Numbers per tile of distances: 8 MB in single precision, so that a tile and its temporaries about fit the cache.
 TILE = 1 << 21
-#: From this many points on, and 16 a neighbour, a tree of them is faster than all pairs.
+#: Number of points from which a tree is faster than all pairs, if there are also 16 points per neighbour.
 MANY = 1 << 12
 _COLUMNS = 1 << 16
 _GROUP = 8
@@ -49,7 +49,7 @@ Kernel = Callable[[slice, slice], Float[Tensor, "rows columns"]]
 
 
 def nearest_lines_to_lines(lines: Lines, k: int, *, tile: int = TILE, work: Work = ALONE) -> Nearest:
-    """N_ll: the k lines with the smallest line-line distance to each line.
+    """Find N_ll: the k lines with the smallest line-line distance to each line.
 
     Notes
     -----
@@ -80,15 +80,15 @@ def nearest_points_to_lines(
     tile: int = TILE,
     work: Work = ALONE,
 ) -> Nearest:
-    """N_pl: the k points nearest to each line; ``points[i]`` belongs to line i and is left out of its row.
+    """Find N_pl: the k points nearest to each line; ``points[i]`` belongs to line i and is not in its row.
 
-    With ``scale``, the distance to point j is counted in units of ``scale[j]``: then the dense places that a line
-    passes do not crowd out the sparse ones.
+    With ``scale``, the distance to point j is in units of ``scale[j]``: then dense places along a line do not crowd out
+    the sparse ones.
 
     Notes
     -----
-    O(lines^2) time, O(lines k + tile) memory; from ``MANY`` lines on nearly O(lines) where the points lie on surfaces,
-    O(lines^(4/3)) where they fill space, and up to 256 MB a thread besides the answer.
+    O(lines^2) time, O(lines k + tile) memory; from ``MANY`` lines on, nearly O(lines) time for points on surfaces,
+    O(lines^(4/3)) for points that fill space, and up to 256 MB per thread besides the result.
     """
     title = "nearest points to lines"
     unit = torch.ones_like(points[:, 0]) if scale is None else scale
@@ -122,7 +122,7 @@ def nearest_lines_to_points(
     tile: int = TILE,
     work: Work = ALONE,
 ) -> Nearest:
-    """N_lp: the k lines nearest to each point; line i belongs to ``points[i]`` and is left out of its row."""
+    """Find N_lp: the k lines nearest to each point; line i belongs to ``points[i]`` and is not in its row."""
     left, right = _residual_factors(lines, points)
 
     def squared(rows: slice, columns: slice) -> Float[Tensor, "rows columns"]:
@@ -142,7 +142,7 @@ def nearest_lines_to_points(
 
 
 def nearest_points_to_points(points: Float[Tensor, "lines 3"], k: int, *, work: Work = ALONE) -> Nearest:
-    """The k points nearest to each point.
+    """Find the k points nearest to each point.
 
     Notes
     -----
@@ -161,7 +161,7 @@ def _residual_factors(
 ) -> tuple[Float[Tensor, "3 lines 3"], Float[Tensor, "3 lines 3"]]:
     """Factors whose products are the three components of p x d - m, each of rank 3.
 
-    The shorter |p|^2 - (p . d)^2 ... loses half the digits for points far from the centre; this form does not.
+    The shorter form |p|^2 - (p . d)^2 ... loses half the digits for points far from the centre.
     """
     left, right = [], []
     for axis in range(3):
@@ -186,7 +186,7 @@ def _search(
 ) -> Int[Tensor, "queries k"]:
     """Indices of the k smallest entries of some rows of a virtual (count, count) matrix without its diagonal."""
     k = max(0, min(k, count - 1))
-    # 32 bits: at 100 000 lines and 500 neighbours this is the largest array there is.
+    # 32 bits: at 100 000 lines and 500 neighbours this is the largest array.
     index = torch.full((own.stop - own.start, k), -1, dtype=torch.int32, device=like.device)
     if k == 0:
         return index
@@ -206,7 +206,7 @@ def _search_rows(squared: Kernel, rows: slice, count: int, k: int, columns: int)
     for begin in range(0, count, columns):
         block = slice(begin, min(begin + columns, count))
         distance = squared(rows, block)
-        # The diagonal of the full matrix, where it crosses this block.
+        # The part of the full matrix's diagonal in this block.
         inside = own[(own >= begin) & (own < block.stop)].to(distance.device)
         distance[inside - rows.start, inside - begin] = torch.inf
         chosen = smallest(distance, min(k, distance.shape[1]))
@@ -225,8 +225,8 @@ def _search_rows(squared: Kernel, rows: slice, count: int, k: int, columns: int)
 def smallest(values: Float[Tensor, "rows columns"], k: int) -> Int[Tensor, "rows k"]:
     """Columns of the k smallest values of each row, in no particular order.
 
-    The k smallest lie in the k groups with the smallest minima, so the selection proper runs over k groups instead of
-    the whole row; the groups are found the same way. Exact, two to three times faster than one ``topk``.
+    The k smallest lie in the k groups with the smallest minima, so only these groups are searched instead of the whole
+    row; the groups are found the same way. Exact, two to three times faster than one ``topk``.
     """
     rows, columns = values.shape
     groups = columns // _GROUP
@@ -248,19 +248,19 @@ def _sorted(
     tile: int,
     work: Work,
 ) -> Nearest:
-    """Distances of the chosen pairs, computed anew pair by pair, and the rows sorted by them."""
+    """Recompute the distances of the chosen pairs, and sort the rows by them."""
     count, k = index.shape
     parts = [torch.empty(0, k, device=index.device)]
 
     def measured(here: slice, _: Work) -> Float[Tensor, "rows k"]:
-        # Equal distances in the order of their indices, whatever the search met first.
+        # Equal distances are sorted by index, whatever the order of the search.
         found = index[here].sort(dim=1).values
         part = distance(here, found.long()).masked_fill(found < 0, torch.inf)
         part, order = part.sort(dim=1, stable=True)
         index[here] = torch.gather(found, 1, order).masked_fill(part == torch.inf, -1)
         return part
 
-    # A tile is at most 64 numbers a pair.
+    # Room for 64 numbers per pair in a tile.
     size = even_size(count, max(1, tile // max(1, 64 * k)))
     parts += [part for _, part in work.over_blocks(measured, count, size, index.device)]
     return Nearest(index, torch.cat(parts[1:] or parts))

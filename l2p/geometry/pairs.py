@@ -31,9 +31,9 @@ class Votes(NamedTuple):
 
 
 def closest_points(lines: Lines, others: Lines, neighbors: Int[Tensor, "lines k"]) -> Votes:
-    """Where each line passes its neighbours closest: beta_ij for j = ``neighbors[i]`` among ``others``.
+    """Position of each line's closest point to its neighbours: beta_ij for j = ``neighbors[i]`` among ``others``.
 
-    A neighbour of -1, or one parallel to the line, is no vote (``valid`` False, beta 0).
+    A neighbour of -1, or one parallel to the line, gives no vote (``valid`` False, beta 0).
     """
     product = _products(lines.direction, lines.foot, others.direction, others.foot, neighbors)
     sine2 = 1 - product.cosine.square()
@@ -43,7 +43,7 @@ def closest_points(lines: Lines, others: Lines, neighbors: Int[Tensor, "lines k"
 
 
 def line_line_distance(lines: Lines, others: Lines, neighbors: Int[Tensor, "lines k"]) -> Float[Tensor, "lines k"]:
-    """|reciprocal product| / sine of the angle; infinite for a neighbour of -1 and for parallel lines."""
+    """Distance |reciprocal product| / sine of the angle; infinite for a neighbour of -1 and for parallel lines."""
     product = _products(lines.direction, lines.moment, others.direction, others.moment, neighbors)
     sine2 = 1 - product.cosine.square()
     distance = (product.other_first + product.first_other).abs() / sine2.clamp_min(PARALLEL**2).sqrt()
@@ -63,9 +63,9 @@ def _products(
     other_second: Float[Tensor, "others 3"],
     neighbors: Int[Tensor, "lines k"],
 ) -> _Products:
-    """d_i . d_j, d_i . s_j and s_i . d_j for j = ``neighbors[i]``, by a gather and a small matrix product a line."""
+    """Products d_i . d_j, d_i . s_j and s_i . d_j for j = ``neighbors[i]``: a gather and a small product per line."""
     table = torch.cat([other_direction, other_second], dim=1)
-    # (lines, k, 6), or an empty table's worth of nothing.
+    # (lines, k, 6), also if the table is empty.
     gathered = table[neighbors.clamp_min(0).flatten().long()].view(*neighbors.shape, 6)
     factors = direction.new_zeros(len(direction), 6, 3)
     factors[:, :3, 0] = direction
@@ -76,7 +76,7 @@ def _products(
 
 
 def feet(lines: Lines, points: Float[Tensor, "points 3"], neighbors: Int[Tensor, "lines k"]) -> Votes:
-    """Feet f_ij of the neighbours' points on each line; a neighbour of -1 is no vote."""
+    """Feet f_ij of the neighbours' points on each line; a neighbour of -1 gives no vote."""
     valid = neighbors >= 0
     gathered = points[neighbors.clamp_min(0).flatten().long()].view(*neighbors.shape, 3)
     # o . d = 0, so the foot of p is at p . d.
@@ -87,5 +87,5 @@ def feet(lines: Lines, points: Float[Tensor, "points 3"], neighbors: Int[Tensor,
 def point_line_distance(
     points: Float[Tensor, "*pairs 3"], direction: Float[Tensor, "*pairs 3"], moment: Float[Tensor, "*pairs 3"]
 ) -> Float[Tensor, "*pairs"]:
-    """|p x d - m|, which keeps its digits for points far from the frame's origin."""
+    """Distance |p x d - m|, which stays accurate for points far from the frame's origin."""
     return (torch.linalg.cross(points, direction) - moment).norm(dim=-1)

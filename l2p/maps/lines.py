@@ -1,4 +1,4 @@
-"""The line cloud: unit directions and Plücker moments, in float64, with nothing that depends on the points' places."""
+"""The line cloud: unit directions and Plücker moments in float64; nothing depends on the points' positions."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from jaxtyping import Float, Int, UInt8
 from l2p.checks import _refuse, finite_rows
 from l2p.errors import InputError
 
-#: Largest |d| - 1 and |d . m| / |m| that count as rounding of a writer in single precision.
+#: Largest |d| - 1 and |d . m| / |m| that count as rounding: files may be written in single precision.
 UNIT_TOLERANCE = 1e-4
-#: What rounding in double precision leaves of |d| - 1 and |d . m| / |m| once they were put right. Smaller ones are
-#: left alone, so that a line cloud read back from its file is the same to the last bit.
+#: Largest |d| - 1 and |d . m| / |m| of normalised lines, from rounding in double precision. Lines below it are not
+#: normalised again, so that a line cloud read back from its file is equal to the bit.
 _ROUNDING = 8 * np.finfo(np.float64).eps
 
 
@@ -30,12 +30,12 @@ class LineCloud:
     rgb : (lines, 3) uint8, optional
         Colour of the point behind each line.
     scheme : str
-        How the directions were drawn; ``uniform`` is the line cloud of Speciale et al. (CVPR 2019).
+        Scheme that drew the directions; ``uniform`` is the line cloud of Speciale et al. (CVPR 2019).
 
     Raises
     ------
     InputError
-        If shapes differ, numbers are not finite or beyond 1e30, a direction has no length or a moment is not
+        If shapes differ, numbers are not finite or beyond 1e30, a direction is not a unit vector or a moment is not
         perpendicular to it.
 
     Examples
@@ -85,29 +85,29 @@ class LineCloud:
         rgb: UInt8[np.ndarray, "lines 3"] | None = None,
         scheme: str = "uniform",
     ) -> LineCloud:
-        """The lines through ``point`` along ``direction`` (any length but zero); where on the line is forgotten."""
+        """Make lines through ``point`` along ``direction`` (any length but zero); the position on it is not stored."""
         point, direction = finite_rows("point", point), finite_rows("direction", direction)
         if len(point) != len(direction):
             raise InputError(f"got {len(point)} points and {len(direction)} directions; expected one direction a point")
         length = np.linalg.norm(direction, axis=1, keepdims=True)
         _refuse(length[:, 0] == 0, "direction of length 0", "remove the line")
         direction = direction / length
-        # The moment is taken at the foot of the perpendicular from the origin, so that its rounding, too, depends
-        # on the line and hardly on the point.
+        # The moment is computed at the foot of the perpendicular from the origin, so that its rounding also depends on
+        # the line and hardly on the point.
         foot = point - np.sum(point * direction, axis=1, keepdims=True) * direction
         return cls(direction, np.cross(foot, direction), rgb, scheme)
 
     @property
     def origin(self) -> Float[np.ndarray, "lines 3"]:
-        """The canonical foot d x m: the point of each line nearest to the frame's origin."""
+        """Canonical foot d x m: the point of each line nearest to the frame's origin."""
         return np.cross(self.direction, self.moment)
 
     def at(self, beta: Float[np.ndarray, " lines"]) -> Float[np.ndarray, "lines 3"]:
-        """The points origin + beta * direction, (lines, 3) in scene units."""
+        """Points origin + beta * direction, (lines, 3) in scene units."""
         return self.origin + np.asarray(beta, dtype=np.float64)[:, None] * self.direction
 
     def rows(self, index: Int[np.ndarray, " some"]) -> LineCloud:
-        """Some of the lines, each as often as it is named."""
+        """Select lines by index, which may repeat."""
         rgb = None if self.rgb is None else self.rgb[index]
         return LineCloud(self.direction[index], self.moment[index], rgb, self.scheme)
 

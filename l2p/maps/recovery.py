@@ -1,4 +1,4 @@
-"""What an attack gives back: points behind the lines, and how sure it is of each."""
+"""The result of an attack: points behind the lines, each with a confidence."""
 
 from __future__ import annotations
 
@@ -13,38 +13,37 @@ from l2p.checks import element_rows
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """Recovered points, a row for each line **in the order of the lines**, unless ``element`` says otherwise.
+    """Recovered points: one row per line **in the order of the lines**, unless ``element`` is given.
 
     Attributes
     ----------
     xyz : (rows, 3) float64
         Recovered points, in scene units, each on its line.
     confidence : (rows,) float32
-        In [0, 1]; the greater, the likelier is the point to be right.
+        In [0, 1]; the greater, the more likely is the point correct.
     beta : (rows,) float64
         Position along the line from its canonical foot, in scene units: ``xyz = origin + beta * direction``.
     rgb : (rows, 3) uint8 or None
         Colours carried over from the line cloud.
     neighbors : (rows, k) int64 or None
-        The neighbours that the last round used, or for the learned method the candidates that it judged; -1 where a
-        line has fewer.
+        Neighbours used in the last round, or candidates judged in it by the learned method; -1 where a line has fewer.
     affinity : (rows, k) float32 or None
-        Weight of each neighbour in the last round, in [0, 1]; for the learned method how likely the network takes it
-        to be a true one.
+        Weight of each neighbour in the last round, in [0, 1]; for the learned method, the predicted probability that it
+        is a true neighbour.
     kept : (rows,) bool or None
-        Points that passed ``--min-confidence`` and ``--clean``; a PLY and a COLMAP model hold these only.
+        Points that passed the filters, by confidence or outlier removal; only these are written to PLY and COLMAP.
     info : dict
         Method, settings, seed, seconds: plain values for a JSON file.
     calibrated : bool
-        The confidence is the probability of lying within 1 spacing, and does not only rank.
+        True: the confidence is the probability of lying within 1 spacing; False: it only ranks.
     element : (rows,) int64
-        The line of each row; the row itself when left out. Two rows of one element are two points on one line, and an
-        element may have none.
+        Line of each row; default: the row's own index. Two rows of one element are two points on one line, and an
+        element may have no row.
 
     Raises
     ------
     InputError
-        If an element is negative, or there are more or fewer than rows.
+        If an element is negative, or their number is not that of the rows.
 
     Examples
     --------
@@ -72,11 +71,11 @@ class Recovery:
 
     @property
     def one_each(self) -> bool:
-        """Whether row i is of line i, for all of them."""
+        """Return whether row i belongs to line i, for all rows."""
         return np.array_equal(self.element, np.arange(len(self)))
 
     def rows(self, some: Bool[np.ndarray, " rows"] | Int[np.ndarray, " some"]) -> Recovery:
-        """The points that a mask or row numbers choose, without their neighbours."""
+        """Select points by a mask or row numbers, without their neighbours."""
         columns = {
             name: None if (value := getattr(self, name)) is None else value[some]
             for name in ("xyz", "confidence", "beta", "rgb", "kept", "element")

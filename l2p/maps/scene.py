@@ -1,4 +1,4 @@
-"""A Structure-from-Motion scene: points and what is known of them; and the truth behind a line cloud."""
+"""A Structure-from-Motion scene: points and their attributes."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Scene:
     track_length : (points,) int32 or None
         Number of images that see the point.
     ids : (points,) int64 or None
-        The identifiers of the source (COLMAP ``point3D_id``).
+        Identifiers of the source (COLMAP ``point3D_id``).
     camera_centers : (cameras, 3) float64 or None
-        Scene units; the cameras that see the points.
+        Centres of the cameras that see the points, scene units.
     """
 
     xyz: Float[np.ndarray, "points 3"]

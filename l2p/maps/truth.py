@@ -1,4 +1,4 @@
-"""The points behind a line cloud, kept apart from it to judge an attack."""
+"""The points behind a line cloud, stored apart from it to judge an attack."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from l2p.maps.lines import LineCloud
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The points behind the elements (lines) of a map, kept apart from it to judge an attack.
+    """The points behind the elements (lines) of a map, stored apart from it to judge an attack.
 
     Attributes
     ----------
@@ -23,20 +23,20 @@ class Truth:
     index : (points,) int64
         Row of each point in the scene that was hidden.
     spacing : float or None
-        Median distance to the 50th neighbour in the whole scene, also when only a fraction was hidden; scene units.
+        Median distance to the 50th neighbour in the whole scene, also if only a fraction was hidden; scene units.
         None: not measured.
     ids : (points,) int64 or None
         Identifiers of the source (COLMAP ``point3D_id``).
     seed : int or None
-        Seed of the hiding, where one was given.
+        Seed of the hiding, if one was given.
     element : (points,) int64
-        The line that hides each point; the row itself when left out. Two rows of one element are a pair; an element
+        Line that hides each point; default: the row's own index. Two rows of one element are a pair; an element
         without a row is a fake.
 
     Raises
     ------
     InputError
-        If an element is negative, or there are more or fewer than points.
+        If an element is negative, or their number is not that of the points.
     """
 
     xyz: Float[np.ndarray, "points 3"]
@@ -51,11 +51,11 @@ class Truth:
 
     @property
     def one_each(self) -> bool:
-        """Whether row i is behind line i, for all of them."""
+        """Return whether point i is behind line i, for all points."""
         return np.array_equal(self.element, np.arange(len(self)))
 
     def rows(self, some: Bool[np.ndarray, " points"] | Int[np.ndarray, " some"]) -> Truth:
-        """The points that a mask or row numbers choose."""
+        """Select points by a mask or row numbers."""
         ids = None if self.ids is None else self.ids[some]
         return replace(self, xyz=self.xyz[some], index=self.index[some], ids=ids, element=self.element[some])
 
@@ -65,7 +65,7 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Hiding:
-    """A scene that was hidden: what is published, and what stays behind.
+    """A hidden scene: the published map and the secret truth.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Hiding:
     Raises
     ------
     InputError
-        If a point is behind a line that the map does not have.
+        If a point is behind a line that is not in the map.
     """
 
     map: LineCloud

@@ -1,4 +1,4 @@
-"""Hiding: from the points of a scene to a line cloud that does not show them, and the truth that stays behind."""
+"""Hiding: the points of a scene become a line cloud that does not show them, and the secret truth."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ def hide(
     scheme: str = DEFAULT_SCHEME,
     rgb: UInt8[np.ndarray, "points 3"] | bool | None = None,
 ) -> Hiding:
-    """Hide points in a line cloud, and keep the truth.
+    """Hide points in a line cloud, and return it with the truth.
 
     Parameters
     ----------
     points : (points, 3) float or Scene
-        Points in scene units, or a scene, whose ids go to the truth.
+        Points in scene units, or a scene, whose ids are copied to the truth.
     seed : int, optional
-        Seed of directions and subset. None draws one from the system: whoever can guess the seed can redraw the
-        directions in the order of the points, so a line cloud that is to be published is lifted without one.
+        Seed of directions and subset. None draws one from the system. Hide a map for publication without a seed: anyone
+        who guesses it can redraw the directions in the order of the points.
     fraction : float
-        Share of the points that is hidden, in (0, 1]; at least one point is kept.
+        Fraction of the points that is hidden, in (0, 1]; at least one point.
     scheme : str
         A name of :data:`l2p.schemes.scheme.SCHEMES`. ``uniform``: a line of random direction through each point
         (Speciale et al., CVPR 2019).
@@ -56,13 +56,13 @@ def hide(
 
     Notes
     -----
-    What could reveal a point, and what is done about it:
+    Information that could reveal a point, and its removal:
 
     - *Order*: SfM models store neighbours side by side. Lines are sorted by their direction, which is independent
       of the point.
-    - *Sign and origin*: the direction is turned into one half-space and the moment says nothing about the position.
+    - *Sign and origin*: the direction is turned into one half-space, and the moment does not depend on the position.
     - *Rounding*: points that were once stored with few digits (single precision, text) lie on a lattice, and a line
-      in double precision comes close to one lattice point only: its own. Each point is therefore moved within its
+      in double precision passes close to one lattice point only: its own. Each point is therefore moved within its
       lattice cell before it is lifted (:func:`l2p.schemes.rounding.lattice_step`); the shift is below the precision of
       the input.
 
@@ -83,7 +83,7 @@ def hide(
     if not 0 < fraction <= 1:
         raise InputError(f"got fraction {fraction}; expected a number in (0, 1], the share of the points to lift")
     way, colour = scheme_of(scheme), _colours(scene, rgb)
-    # A stream of its own: default_rng(seed) may have drawn the points, and would draw them again as directions.
+    # A separate stream: default_rng(seed) may have drawn the points, and would draw the same numbers as directions.
     rng = np.random.default_rng(None if seed is None else [seed, _STREAM])
     hidden = way.hide(xyz, _subset(len(xyz), fraction, rng), rng, colour)
     ids = None if scene.ids is None else scene.ids[hidden.truth.index]
@@ -97,7 +97,7 @@ def lift(
     scheme: str = DEFAULT_SCHEME,
     rgb: UInt8[np.ndarray, "points 3"] | bool | None = None,
 ) -> LineCloud:
-    """The line cloud of :func:`hide`, without the truth.
+    """Return the line cloud of :func:`hide`, without the truth.
 
     >>> import numpy as np
     >>> len(lift(np.zeros((4, 3)), seed=0))

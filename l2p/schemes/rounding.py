@@ -1,4 +1,4 @@
-"""The lattice that the points of a scene were rounded to, which lines through them could reveal."""
+"""The lattice to which the points of a scene were rounded; with it, lines could reveal their points."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from jaxtyping import Float, Int
 
 
 def lattice_step(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " points"]:
-    """Step of the coarsest lattice around each point that the scene was once rounded to; 0 if there is none.
+    """Step, at each point, of the coarsest lattice to which the scene was rounded; 0 if there is none.
 
     Notes
     -----
-    Three ways to lose digits are recognised, also one after the other: a number of decimals (0 to 9, the same step
-    everywhere), a number of significant digits (1 to 9) and single precision (both with a step that grows with the
-    point's largest coordinate). Decimal lattices count if they hold at least half of the points: a few points of
-    another source must not hide them. A scene of double precision numbers lies on none.
+    Three kinds of rounding are recognised, also combined: to decimals (0 to 9, the same step everywhere), to
+    significant digits (1 to 9) and to single precision (both with a step that grows with the point's largest
+    coordinate). A decimal lattice counts if it contains at least half of the points: a few points of another source
+    must not mask it. A scene in double precision lies on none.
     """
     size = np.abs(points).max(axis=1)
     if not size.any():
@@ -36,21 +36,21 @@ def lattice_step(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " p
 def within_lattice(
     points: Float[np.ndarray, "points 3"], chosen: Int[np.ndarray, " chosen"], rng: np.random.Generator
 ) -> Float[np.ndarray, "chosen 3"]:
-    """The chosen points, each moved at random within its cell of the lattice that it was rounded to."""
+    """Move each chosen point at random within its cell of the lattice to which it was rounded."""
     return points[chosen] + lattice_step(points)[chosen, None] * rng.uniform(-0.5, 0.5, size=(len(chosen), 3))
 
 
 def _rounded(
     points: Float[np.ndarray, "points 3"], unit: Float[np.ndarray, "points 3"], rounding: Float[np.ndarray, "points 3"]
 ) -> bool:
-    """Whether at least half of the points are multiples of their unit, as far as their rounding lets see it."""
+    """Return whether at least half of the points are multiples of their unit, up to rounding."""
     with np.errstate(divide="ignore", invalid="ignore"):  # the last digit of the tiniest numbers is 0
         multiple, slack = points / unit, 4 * rounding / unit
-        # A unit of a few roundings would hold any point.
+        # A unit of only a few rounding errors would accept any point.
         on = (np.abs(multiple - np.rint(multiple)) <= slack) & (slack < 0.05)
     return bool(on.all(axis=1).mean() >= 0.5)
 
 
 def _last_digit(value: Float[np.ndarray, "*shape"], digits: int) -> Float[np.ndarray, "*shape"]:
-    """One unit in the last of so many significant digits."""
+    """One unit in the last of ``digits`` significant digits."""
     return 10.0 ** (np.floor(np.log10(np.where(value == 0, 1, np.abs(value)))) - (digits - 1))

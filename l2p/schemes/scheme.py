@@ -1,4 +1,4 @@
-"""What a scheme is: any way to replace points by lines; and the names of the schemes, apart from their code."""
+"""The contract of a scheme, a way to replace points by lines, and the names of all schemes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 DEFAULT_SCHEME = "uniform"
 
-#: Every scheme by its name: ``module:class``, loaded on use, so that ``l2p --help`` does not wait for NumPy.
+#: Schemes by name: ``module:class``, loaded on use, so that ``l2p --help`` does not wait for NumPy.
 SCHEMES = {DEFAULT_SCHEME: "l2p.schemes.uniform:Uniform"}
 
 
@@ -26,9 +26,9 @@ class Scheme(Protocol):
     Attributes
     ----------
     name : str
-        As in :data:`SCHEMES` and in ``LineCloud.scheme``.
+        Name in :data:`SCHEMES` and in ``LineCloud.scheme``.
     answers : int
-        Most points behind a line: 1, or 2 where lines go through pairs of points.
+        Largest number of points behind a line: 1, or 2 if lines pass through pairs of points.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Scheme(Protocol):
         rng: np.random.Generator,
         rgb: UInt8[np.ndarray, "points 3"] | None,
     ) -> Hiding:
-        """Draw the lines, in an order that says nothing of the points.
+        """Draw the lines, in an order that does not depend on the points.
 
         Parameters
         ----------
@@ -50,7 +50,7 @@ class Scheme(Protocol):
         chosen : (chosen,) int64
             Rows of the points to hide, in random order unless all are hidden.
         rng : numpy.random.Generator
-            All randomness.
+            Source of all randomness.
         rgb : (points, 3) uint8 or None
             Colours to store with the lines.
 
@@ -63,7 +63,7 @@ class Scheme(Protocol):
 
 
 def scheme_of(name: str) -> Any:
-    """The :class:`Scheme` of that name.
+    """Load the :class:`Scheme` of this name.
 
     Raises
     ------

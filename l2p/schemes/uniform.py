@@ -11,7 +11,7 @@ from l2p.schemes.rounding import within_lattice
 
 
 class Uniform:
-    """A line through each point, its direction uniform on the sphere, whatever the others are."""
+    """Scheme with one line per point; directions are independent and uniform on the sphere."""
 
     name = "uniform"
     answers = 1
@@ -33,6 +33,6 @@ class Uniform:
 
 
 def half_space(direction: Float[np.ndarray, "lines 3"]) -> Float[np.ndarray, "lines 3"]:
-    """Unit vectors turned into the half-space z > 0; (d, m) and (-d, -m) are one line, so one of them is written."""
+    """Turn unit vectors into the half-space z > 0: (d, m) and (-d, -m) are the same line, and one of them is stored."""
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     return np.where(direction[:, 2:] < 0, -direction, direction)

@@ -1,8 +1,8 @@
 """The memory limit of an attack, and the size of blocks that fits it.
 
-An attack holds some bytes per line, which nothing can change, and works through blocks of lines, each with temporaries
-of its own. The allowance less the bytes of the lines is the *room* of these blocks (:class:`l2p.work.work.Work`). It
-decides how much is done at a time, never the result.
+An attack holds a fixed number of bytes per line, and works through blocks of lines, each with its own temporaries. The
+limit less the bytes of the lines is the *room* of these blocks (:class:`l2p.work.work.Work`). It sets the size of the
+blocks and never changes the result.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from pathlib import Path
 from l2p.errors import InputError
 
 GIB = 1 << 30
-#: Share of the free memory that an attack may take by default; the rest is for other processes.
+#: Fraction of the free memory that an attack may take by default; the rest is for other processes.
 SHARE = 0.8
-#: Bytes of an attack beside its lines: libraries that it loads, the coarse grid, fragmentation.
+#: Bytes of an attack besides its lines: libraries that it loads, the coarse grid, fragmentation.
 BASE = 96 << 20
-#: Least room, bytes: tiles, which have a fixed size, fit in it.
+#: Least room in bytes; tiles, which have a fixed size, fit in it.
 SMALLEST = 64 << 20
-#: Linux files: free memory, memory of this process, its control groups; then their limits (version 2, 1).
+#: Linux files: free memory, memory of this process, its control groups; then limit and usage of these (version 2, 1).
 MEMINFO, STATM, CGROUPS = Path("/proc/meminfo"), Path("/proc/self/statm"), Path("/proc/self/cgroup")
 _LIMITS = {
     "": (Path("/sys/fs/cgroup"), "memory.max", "memory.current"),
@@ -30,12 +30,12 @@ _LIMITS = {
 
 
 def fitting(most: int, each: float, room: int | None) -> int:
-    """Items of ``each`` bytes per block: ``most``, which is fastest, or as many as the room holds."""
+    """Items of ``each`` bytes per block: ``most``, which is fastest, or fewer if the room is smaller."""
     return most if room is None else max(1, min(most, int(room / max(each, 1))))
 
 
 def allotted(memory: float | None, lines: int, line_bytes: float) -> int | None:
-    """Compute the room, in bytes, that the lines leave to blocks; None if the free memory is unknown.
+    """Compute the room of the blocks, in bytes; None if the free memory is unknown.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def allotted(memory: float | None, lines: int, line_bytes: float) -> int | None:
 
 
 def free_bytes() -> int | None:
-    """Bytes that this process may still take: least of machine, containers and own limit; None if unknown."""
+    """Bytes that this process may still take: the least of machine, containers and own limit; None if unknown."""
     known = [free for free in (_free_in_machine(), _free_in_containers(), _free_address_space()) if free is not None]
     return max(0, min(known)) if known else None
 
@@ -95,7 +95,7 @@ def _free_in_containers() -> int | None:
             continue
         root, limit, usage = _LIMITS[kind]
         own = root / path.lstrip("/")
-        # In a container, the path may be that of the host, and only the root of it is visible inside.
+        # In a container, the path may be that of the host, of which only the root is visible inside.
         for group in {root, own, *(parent for parent in own.parents if parent.is_relative_to(root))}:
             most, taken = _text(group / limit).strip(), _text(group / usage).strip()
             if most.isdecimal() and taken.isdecimal():

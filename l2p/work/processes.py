@@ -21,15 +21,15 @@ from typing import Any, NamedTuple, NoReturn
 from l2p.errors import InputError, LostProcessError
 from l2p.work.shards import Processes, Shards
 
-#: Timeout of a rank that waits for the others; far longer than they are apart in their work.
+#: Timeout of a rank that waits for the others; far longer than their differences in speed.
 PATIENCE = timedelta(minutes=30)
 #: Exit code of a rank that has lost another.
 LOST = 1
-#: Environment variable of ranks started by :func:`launch`, which itself reports lost ranks and Ctrl-C.
+#: Environment variable set by :func:`launch` for its ranks; it reports lost ranks and Ctrl-C itself.
 _LAUNCHED = "L2P_LAUNCHED"
 #: Store key claimed by the rank that prints the error.
 _REPORTED = "l2p/told"
-#: Seconds that ranks have to end by themselves after one has failed, and then after a signal.
+#: Seconds for ranks to end by themselves after one has failed, and then after a signal.
 _GRACE, _MORE_GRACE = 3.0, 10.0
 _POLL = 0.05
 
@@ -42,23 +42,23 @@ class Place(NamedTuple):
 
 
 def among_others() -> bool:
-    """Whether this process is one of several ranks."""
+    """Return whether this process is one of several ranks."""
     count = os.environ.get("WORLD_SIZE", "")
     return count.isdecimal() and int(count) > 1
 
 
 @contextmanager
 def joined(device: str) -> Iterator[Place]:
-    """Join the ranks that were started together, until the block ends; a process alone gets ``ALONE``.
+    """Join the ranks that were started together, until the block ends; a single process gets ``ALONE``.
 
     Raises
     ------
     InputError
-        If several ranks cannot use the device, or do not find each other.
+        If several ranks cannot use the device, or cannot connect.
 
     Notes
     -----
-    After an error of the block that another rank prints, the process ends at once with code ``LOST``.
+    If the block fails and another rank prints the error, the process ends at once with code ``LOST``.
     """
     if not among_others():
         yield Place(Shards(), device)
@@ -101,7 +101,7 @@ def _own_device(device: str) -> str:
 
 
 def _refusal(said: str) -> InputError:
-    """An error that every rank has before the group exists; only rank 0 reports it, the others end here."""
+    """Make an error that all ranks meet before the group exists; only rank 0 reports it, the others end here."""
     if os.environ.get("RANK", "0") != "0":
         _leave(LOST)
     return InputError(said)
@@ -115,7 +115,7 @@ def _on_sigterm(*_: int | FrameType | None) -> NoReturn:
 
 
 def _is_reporter(error: BaseException, store: Any, shards: Shards) -> bool:
-    """Whether this rank is the one that prints the error."""
+    """Return whether this rank prints the error."""
     if isinstance(error, (LostProcessError, KeyboardInterrupt)) and os.environ.get(_LAUNCHED):
         return False
     try:
@@ -125,7 +125,7 @@ def _is_reporter(error: BaseException, store: Any, shards: Shards) -> bool:
 
 
 def _leave(code: int) -> NoReturn:
-    """End at once, without joining threads, which may wait for a lost rank forever."""
+    """End at once, without joining threads, which may wait forever for a lost rank."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any, Protocol, runtime_checkable
 
-#: Seconds between two updates of a bar, so that ``advance`` may be called in tight loops.
+#: Seconds between two updates of a bar, so that ``advance`` is cheap in tight loops.
 REFRESH_SECONDS = 0.1
 
 
 @runtime_checkable
 class Progress(Protocol):
-    """Shows the progress of named tasks.
+    """Display of the progress of named tasks.
 
     >>> with NO_PROGRESS.task("nearest lines", total=100) as advance:
     ...     advance(100)
@@ -26,7 +26,7 @@ class Progress(Protocol):
 
 
 class SilentProgress:
-    """Shows nothing."""
+    """Progress that is not shown."""
 
     @contextmanager
     def task(self, name: str, total: int) -> Iterator[Callable[[int], None]]:
@@ -76,12 +76,12 @@ class _Bar:
             self._pending, self._shown = 0, now
 
 
-#: The default of every function that takes ``progress``.
+#: Default of the parameter ``progress``.
 NO_PROGRESS = SilentProgress()
 
 
 def terminal_progress() -> Progress:
-    """Bars if stderr is a terminal, otherwise ``NO_PROGRESS``."""
+    """Return bars if stderr is a terminal, otherwise ``NO_PROGRESS``."""
     return TerminalProgress() if sys.stderr.isatty() else NO_PROGRESS
 
 

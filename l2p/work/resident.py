@@ -11,20 +11,20 @@ PROC = Path("/proc")
 
 
 def resident_gib(process: int | str = "self") -> float | None:
-    """Resident memory of a process; None where the system does not report it, or the process has ended."""
+    """Resident memory of a process, GiB; None if the system does not report it or the process has ended."""
     return _entry(process, "VmRSS")
 
 
 def peak_gib(process: int | str = "self") -> float | None:
-    """Largest resident memory of a process since it began, or since :func:`measured_peak` did."""
+    """Largest resident memory of a process, GiB, since its start or that of :func:`measured_peak`."""
     return _entry(process, "VmHWM")
 
 
 @contextmanager
 def measured_peak(process: int | str = "self") -> Iterator[Callable[[], float | None]]:
-    """Gives a function that returns the largest resident memory (GiB) since the block began; None if it is unknown."""
+    """Yield a function that returns the largest resident memory (GiB) since the block began; None if unknown."""
     try:
-        (PROC / str(process) / "clear_refs").write_text("5", encoding="ascii")  # Linux forgets the peak so far
+        (PROC / str(process) / "clear_refs").write_text("5", encoding="ascii")  # resets the peak
     except OSError:
         yield lambda: None
     else:

@@ -1,11 +1,11 @@
 """Lines distributed over processes (ranks), on one machine or several.
 
-Every rank has all lines and all estimates, and works on a range of the lines. Results that each line needs from all
-others are summed (the density of the tomography) or gathered (the estimates). Both are equal to the bit for any number
-of ranks: sums are of integers, and ranges are whole blocks of ``BLOCK`` lines, since the last digit of a matrix product
-may depend on its size.
+Every rank has all lines and all estimates, and works on a range of the lines. Results that depend on all lines are
+summed (the density of the tomography) or gathered (the estimates). Both are equal to the bit for any number of ranks:
+sums are of integers, and ranges are whole blocks of ``BLOCK`` lines, since the last digit of a matrix product may
+depend on its size.
 
-The processes are those of ``torch.distributed``; :mod:`l2p.work.processes` joins them.
+The ranks are those of ``torch.distributed``; :mod:`l2p.work.processes` joins them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BLOCK = 256
 
 
 class Shards:
-    """A process with all lines; :class:`Processes` distributes them.
+    """A single process that works on all lines; :class:`Processes` distributes them.
 
     Attributes
     ----------
@@ -63,11 +63,11 @@ class Shards:
         """Logical or over all ranks, in place."""
 
     def first(self, whole: Shaped[Tensor, "..."]) -> Shaped[Tensor, "..."]:
-        """Return the tensor of the first process; the others pass one of the same shape to fill."""
+        """Return the tensor of rank 0; the others pass one of the same shape, to be filled."""
         return whole
 
     def first_json(self, value: Any, device: torch.device) -> Any:
-        """Return the plain value of the first process; the others pass None."""
+        """Return the plain value of rank 0; the others pass None."""
         content = json.dumps(value).encode() if self.rank == 0 else b""
         size = int(self.first(torch.tensor(len(content), device=device)))
         sent = torch.frombuffer(bytearray(content or bytes(size)), dtype=torch.uint8).to(device)
@@ -90,7 +90,7 @@ class Processes(Shards):
         self._distributed = distributed
 
     def own(self, count: int) -> slice:
-        """Range of this rank: the same number of blocks for each, fewer for the last ones."""
+        """Range of this rank: the same number of blocks for each rank, fewer for the last ones."""
         rows = self._rows(count)
         return slice(min(self.rank * rows, count), min((self.rank + 1) * rows, count))
 

@@ -2,7 +2,7 @@
 
 Torch's own threads share every single operation, and wait for each other after it. Blocks that fit the cache are far
 too small for that: on a busy machine, or with ``OMP_WAIT_POLICY=PASSIVE``, two such threads are slower than one
-(``benchmarks/kernels.py``). Independent blocks need no such waiting.
+(``benchmarks/kernels.py``). Independent blocks need not wait for each other.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ import torch
 
 from l2p.work.memory import fitting
 
-#: Queue depth per thread: blocks begun or finished, but not yet consumed, so that no thread is idle.
+#: Queue depth per thread: blocks begun or finished but not yet consumed, so that no thread is idle.
 _AHEAD = 2
-#: Most threads that are accepted: OpenMP crashes the process if the system refuses to start them.
+#: Largest number of threads accepted: OpenMP crashes the process if the system refuses to start them.
 MOST_THREADS = 1024
 
 Result = TypeVar("Result")
 
 
 def even_size(count: int, most: int) -> int:
-    """Size of blocks, at most ``most`` rows, that gives each of torch's threads the same number of blocks."""
+    """Size of blocks, at most ``most`` rows, such that each of torch's threads has the same number of blocks."""
     threads = torch.get_num_threads()
     return max(1, math.ceil(count / (threads * math.ceil(max(1, count) / (threads * most)))))
 
@@ -39,16 +39,16 @@ def over_blocks(
     row_bytes: float = 0,
     room: int | None = None,
 ) -> Iterator[tuple[slice, Result]]:
-    """Apply ``function(block, room)`` to each block of ``size`` of ``count`` rows; results in order.
+    """Apply ``function(block, room)`` to blocks of ``size`` of the ``count`` rows; yield results in order.
 
-    As many blocks run at a time as torch has threads, or as there is room for at ``row_bytes`` of temporaries per row;
-    one after the other on a device that is not the CPU. Torch has one thread meanwhile, and each block its share of
-    the room. The results do not depend on the number of threads.
+    As many blocks run at a time as torch has threads, or fewer if the room is too small for their temporaries
+    (``row_bytes`` per row); one at a time on a GPU. Meanwhile torch has one thread, and each block an equal part of the
+    room. The results do not depend on the number of threads.
 
     Raises
     ------
     Exception
-        As ``function`` raises; no block is begun after it.
+        Any error of ``function``; no block is begun after it.
     """
     size = fitting(size, row_bytes, room)
     blocks = [slice(begin, min(begin + size, count)) for begin in range(0, count, size)]
@@ -58,7 +58,7 @@ def over_blocks(
         return
     workers = fitting(threads, size * row_bytes, room)
     share = None if room is None else room // workers
-    # These modes belong to a thread: the workers take them over.
+    # These modes are per thread: the workers copy them.
     inference, gradients = torch.is_inference_mode_enabled(), torch.is_grad_enabled()
 
     def worked(block: slice) -> Result:

@@ -1,4 +1,4 @@
-"""One parameter for who works, how much at a time, who sees it and where finished rounds are saved."""
+"""One parameter for the processes, the memory, the progress display and the journal of an attack."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Work:
-    """How an attack is carried out; the points do not depend on it.
+    """Execution of an attack; the recovered points do not depend on it.
 
     Attributes
     ----------
     shards : Shards
-        The processes that share the lines.
+        Processes that share the lines.
     journal : Journal
-        Where the first process saves finished rounds.
+        Journal in which rank 0 saves finished rounds.
     progress : Progress
-        Shows how far the work is.
+        Display of the progress.
     room : int or None
-        Bytes for the temporaries of blocks; None for no bound.
+        Bytes for the temporaries of blocks; None for no limit.
     """
 
     shards: Shards = field(default_factory=Shards)
@@ -43,11 +43,11 @@ class Work:
     room: int | None = None
 
     def own(self, count: int) -> slice:
-        """Rows of this process, among ``count`` lines."""
+        """Range of this process among ``count`` lines."""
         return self.shards.own(count)
 
     def gather(self, part: Shaped[Tensor, "own ..."], count: int) -> Shaped[Tensor, "lines ..."]:
-        """Rows of all processes, in order."""
+        """Return the rows of all processes, in order."""
         return self.shards.gather(part, count)
 
     def task(self, name: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
@@ -55,7 +55,7 @@ class Work:
         return self.progress.task(name, total)
 
     def fitting(self, most: int, each: float) -> int:
-        """Items of ``each`` bytes per block: ``most``, or fewer where there is less room."""
+        """Items of ``each`` bytes per block: ``most``, or fewer if the room is smaller."""
         return fitting(most, each, self.room)
 
     def over_blocks(
@@ -68,7 +68,7 @@ class Work:
     ) -> Iterator[tuple[slice, Result]]:
         """Apply ``function(block, work)`` to blocks of rows on all cores (:func:`l2p.work.threads.over_blocks`).
 
-        The ``work`` that is passed on has this block's share of the room.
+        The ``work`` passed to ``function`` has the block's part of the room.
         """
 
         def within(block: slice, room: int | None) -> Result:
@@ -86,7 +86,7 @@ class Work:
         columns : mapping
             Name of each saved tensor and its shape per line.
         like : (lines, ...)
-            A tensor whose length, dtype and device the saved ones have.
+            Tensor with the length, dtype and device of the saved ones.
 
         Raises
         ------
@@ -108,10 +108,10 @@ class Work:
         return rounds, {name: self.shards.first(value) for name, value in state.items()}
 
     def save(self, rounds: int, state: Mapping[str, Tensor]) -> None:
-        """Save the tensors of all lines after so many rounds."""
+        """Save the tensors of all lines after ``rounds`` rounds."""
         if self.shards.rank == 0:
             self.journal.save(Saved(rounds, {name: value.cpu().numpy() for name, value in state.items()}))
 
 
-#: One process, silent, without a bound on memory, nothing saved: the default of every function that takes ``work``.
+#: Default of the parameter ``work``: one process, silent, no limit on memory, nothing saved.
 ALONE = Work()

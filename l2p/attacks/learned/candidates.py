@@ -1,7 +1,7 @@
-"""Candidate pairs of some lines: their geometry, computed once for every family of inputs and only where one reads it.
+"""Candidate pairs of some lines; their geometry is computed when first read, once for all families of inputs.
 
-Everything follows from the lines alone and does not change when the scene is moved or turned, when lines are reordered,
-or when a line's origin slides; positions flip with a line's direction, and ``side`` says which way counts as positive.
+Everything follows from the lines alone. It does not change if the scene is moved or turned, if lines are reordered, or
+if a line's origin moves along it; positions change sign with a line's direction, and ``side`` is the positive side.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from l2p.geometry.pairs import PARALLEL
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Lines and their candidates; positions are counted from each line's foot, lengths in the frame's unit.
+    """Lines and their candidates; positions are relative to each line's foot, lengths in the frame's unit.
 
     Attributes
     ----------
     lines, nodes
         All lines.
     posterior : Posterior
-        It begins with line ``first``.
+        Its row 0 is that of line ``first``.
     rows : (rows,)
-        The lines whose candidates these are.
+        Indices of the lines.
     chosen : (rows, k)
-        Their candidates; -1 is padding.
+        Indices of their candidates; -1 is padding.
     attributes : mapping
-        Published beside all lines (:class:`l2p.attacks.attack.Elements`).
+        Data published with each line (:class:`l2p.attacks.attack.Elements`).
     """
 
     lines: Lines
@@ -47,11 +47,11 @@ class Candidates:
     attributes: Mapping[str, Shaped[Tensor, "lines ..."]] = field(default_factory=dict)
 
     def own(self, column: Shaped[Tensor, "lines ..."]) -> Shaped[Tensor, "rows 1 ..."]:
-        """Entries of the lines themselves."""
+        """Select the entries of the lines themselves."""
         return column.index_select(0, self.rows)[:, None]
 
     def other(self, column: Shaped[Tensor, "lines ..."]) -> Shaped[Tensor, "rows k ..."]:
-        """Entries of the candidates. Only what the rows need is touched: the cost does not depend on the lines."""
+        """Select the entries of the candidates; the cost does not depend on the number of all lines."""
         return picked(column, self.index)
 
     @cached_property
@@ -61,7 +61,7 @@ class Candidates:
 
     @cached_property
     def index(self) -> Int[Tensor, "rows k"]:
-        """The candidates; 0 for padding."""
+        """Indices of the candidates; 0 for padding."""
         return self.chosen.clamp_min(0).long()
 
     @cached_property
@@ -71,7 +71,7 @@ class Candidates:
 
     @cached_property
     def origin(self) -> Float[Tensor, "rows 1 3"]:
-        """Feet of the lines, from which positions are counted."""
+        """Feet of the lines, the origins of positions."""
         return self.lines.rows(self.rows).foot[:, None]
 
     @cached_property
@@ -109,7 +109,7 @@ class Candidates:
 
     @cached_property
     def closest(self) -> Float[Tensor, "rows k"]:
-        """Position of the point that is closest to the candidate."""
+        """Position of the line's point closest to the candidate."""
         direction, moment = self._other_lines
         other_foot = torch.linalg.cross(direction, moment)
         reach = (other_foot * self.direction).sum(-1) + self.cosine * (self.origin * direction).sum(-1)
@@ -145,7 +145,7 @@ class Candidates:
 
     @cached_property
     def side(self) -> Float[Tensor, "rows 1"]:
-        """1 or -1: the way along the line to which the feet are skewed, which takes the sign of the direction out."""
+        """1 or -1: the side to which the feet are skewed; it removes the arbitrary sign of the direction."""
         apart = self.foot - self.own(self.nodes.beta)
         skew = (apart.sign() * torch.log1p(apart.abs() / self.scale) * self.valid).sum(dim=1, keepdim=True)
         return torch.where(skew < 0, -1.0, 1.0)

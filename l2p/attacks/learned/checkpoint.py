@@ -1,7 +1,6 @@
-"""The checkpoint: one safetensors file with the network, how its rounds are run, and how it came about.
+"""The checkpoint: one safetensors file with the network, the settings of its rounds, and the record of its training.
 
-The tensors are the network's, by name; everything else is JSON in the file's metadata. Nothing in it is ever
-executed.
+Its tensors are the network's weights, by name; everything else is JSON in its metadata. Nothing in it is executed.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ from l2p.attacks.settings import LearnedSettings
 from l2p.checks import check_fraction
 from l2p.errors import InputError
 
-#: Number of the file's layout; a reader refuses those that it does not know.
+#: Version of the file format; a reader refuses versions that it does not know.
 FORMAT = 4
 _FORMAT_KEY = "l2p_format"
-#: Hexadecimal digits of a digest: enough to tell checkpoints apart.
+#: Hexadecimal digits of a digest: enough to distinguish checkpoints.
 _DIGITS = 12
 
 Config = TypeVar("Config")
@@ -39,7 +38,7 @@ Config = TypeVar("Config")
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """What a checkpoint file holds.
+    """Contents of a checkpoint file.
 
     Attributes
     ----------
@@ -48,11 +47,11 @@ class Checkpoint:
     config : LearnedConfig
         Rounds, tomography, local scales and surfaces.
     calibration : sequence of sequences of (float, float)
-        For each round and radius a and b of the probability sigmoid(a found + b) of lying within it.
+        (a, b) for each round and radius: sigmoid(a found + b) is the probability of lying within the radius.
     facts : dict
-        How it was trained: plain values.
+        Record of the training: plain values.
     inputs : sequence of Inputs
-        The families with their constants; today's where they are left out.
+        Families of inputs with their constants; default: present constants.
     """
 
     network: LineTransformer
@@ -67,12 +66,12 @@ class Checkpoint:
 
 
 def shipped() -> Path:
-    """The checkpoint that is installed with the package.
+    """Path of the checkpoint that is installed with the package.
 
     Raises
     ------
     FileNotFoundError
-        If the installation lacks it.
+        If it is missing from the installation.
     """
     path = Path(str(files("l2p") / "weights" / "learned.safetensors"))
     if not path.is_file():
@@ -84,12 +83,12 @@ def shipped() -> Path:
 
 
 def digest(path: str | PathLike[str]) -> str:
-    """The first 12 hexadecimal digits of the file's SHA-256."""
+    """First 12 hexadecimal digits of the file's SHA-256."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()[:_DIGITS]
 
 
 def save(path: str | PathLike[str], checkpoint: Checkpoint, *, overwrite: bool = False) -> None:
-    """Write a checkpoint, whole or not at all."""
+    """Write a checkpoint atomically."""
     from safetensors.torch import save as encoded
 
     from l2p.io.atomic import atomic_file
@@ -113,23 +112,23 @@ def save(path: str | PathLike[str], checkpoint: Checkpoint, *, overwrite: bool =
 
 
 def load(path: str | PathLike[str], *, rounds: int | None = None, fraction: float = 1.0) -> Learned:
-    """The attack of a checkpoint file.
+    """Build the attack of a checkpoint file.
 
     Parameters
     ----------
     path : path
     rounds : int, optional
-        Fewer rounds than it was trained for.
+        Number of rounds, at most those of the training; default: all.
     fraction : float
-        Share of the map's points that the line cloud holds, in (0, 1] (:class:`l2p.attacks.learned.learned.Learned`).
+        Fraction of the map's points in the line cloud, in (0, 1] (:class:`l2p.attacks.learned.learned.Learned`).
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     InputError
-        If it is no checkpoint of l2p, is damaged, was written by a newer version, or knows fewer rounds, or if the
-        fraction is out of range.
+        If it is no checkpoint of l2p, is damaged, was written by a newer version or trained for fewer rounds, or if
+        the fraction is out of range.
     """
     check_fraction(fraction)
     checkpoint = read(path)
@@ -143,13 +142,13 @@ def load(path: str | PathLike[str], *, rounds: int | None = None, fraction: floa
 
 
 def build(settings: LearnedSettings) -> Learned:
-    """The attack with these settings."""
+    """Build the attack with these settings."""
     file = shipped() if settings.checkpoint is None else settings.checkpoint
     return load(file, rounds=settings.rounds, fraction=settings.fraction)
 
 
 def read(path: str | PathLike[str]) -> Checkpoint:
-    """All that a checkpoint file holds; raises as :func:`load` does."""
+    """Read a checkpoint file; raises as :func:`load` does."""
     path = Path(path)
     metadata, tensors = opened(path)
     _check_format(path, metadata)
@@ -172,7 +171,7 @@ def read(path: str | PathLike[str]) -> Checkpoint:
 
 
 def configured(kind: type[Config], values: dict[str, Any]) -> Config:
-    """A configuration dataclass from plain values; every key has to be there, and no other."""
+    """Build a configuration dataclass from plain values; exactly its keys must be given."""
     hints = get_type_hints(kind)
     names = [entry.name for entry in fields(kind)]  # type: ignore[arg-type]
     if not isinstance(values, dict) or set(values) != set(names):
@@ -184,7 +183,7 @@ def _value(kind: Any, value: Any) -> Any:
     if is_dataclass(kind):
         return configured(kind, value)  # type: ignore[arg-type]
     if isinstance(value, list):
-        value = tuple(value)  # JSON and YAML know no tuples
+        value = tuple(value)  # JSON and YAML have no tuples
     taken = (int, float) if kind is float else get_origin(kind) or kind
     if not isinstance(value, taken) or isinstance(value, bool):
         raise ValueError(f"got {value!r}, expected {kind}")
@@ -220,7 +219,7 @@ def network_of(path: Path, size: NetworkConfig, tensors: dict[str, Tensor]) -> L
     if size.layers > len(tensors) or size.width > sum(value.numel() for value in tensors.values()):
         raise InputError(f"{path} has too few tensors for {size.layers} layers of width {size.width}; it is damaged")
     try:
-        # Without numbers: nothing is allocated that the tensors of the file do not fill.
+        # Shapes only: memory is allocated by the tensors of the file.
         with torch.device("meta"):
             expected = {name: tuple(value.shape) for name, value in LineTransformer(size).state_dict().items()}
     except (TypeError, ValueError, RuntimeError, ArithmeticError) as error:

@@ -1,4 +1,4 @@
-"""The inputs of the network for candidate pairs, put together from the families that it names."""
+"""Inputs of the network for candidate pairs, assembled from its families."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from l2p.attacks.learned.inputs.family import Inputs, Kind
 
 
 class Edges(NamedTuple):
-    """Candidate pairs of some lines, as the network reads them; lengths are in the working frame.
+    """Candidate pairs of some lines, as input of the network; lengths are in the working frame.
 
-    ``vote`` holds positions on the line, one of each kind, counted from the line's estimate, and ``foot`` that of the
-    foot of the candidate's estimate; ``point_line`` is the distance of that estimate from the line, ``scale`` its local
-    scale, ``confidence`` its own. ``side`` is 1 or -1, whichever way along the line counts as positive, the same for
-    all candidates. ``valid`` is False for padding.
+    ``vote`` holds one position on the line per kind of vote, and ``foot`` that of the foot of the candidate's estimate,
+    both relative to the line's estimate. ``point_line`` is the distance of the candidate's estimate from the line,
+    ``scale`` its local scale, ``confidence`` its confidence. ``side`` is 1 or -1, the positive side of the line, the
+    same for all candidates. ``valid`` is False for padding.
     """
 
     vote: Float[Tensor, "lines k votes"]
@@ -34,7 +34,7 @@ class Edges(NamedTuple):
 
 
 def feature_names(inputs: Sequence[Inputs]) -> list[str]:
-    """Names of the features: by kind, then in the order of the families; at last which attributes are there."""
+    """Names of the features: by kind, then in the order of the families; last, flags of the attributes present."""
     by_kind = [name for kind in Kind for family in inputs for name, own in family.columns.items() if own is kind]
     return [*by_kind, *(f"has_{name}" for name in _needed(inputs))]
 
@@ -61,7 +61,7 @@ def edges_of(pairs: Candidates, inputs: Sequence[Inputs]) -> Edges:
     beta, scale, sign = pairs.own(pairs.nodes.beta), pairs.scale, pairs.side
     places = torch.stack(columns[Kind.POSITION], dim=1) - beta[:, None]
     lengths = [places * sign[:, None], *([torch.stack(columns[Kind.LENGTH], dim=1)] if columns[Kind.LENGTH] else [])]
-    # All candidates' values of one feature lie side by side: torch is slow where a candidate's features do.
+    # Values of one feature are contiguous over the candidates: torch is slow the other way round.
     blocks = [_compressed(torch.cat(lengths, dim=1) / scale[:, None])]
     if columns[Kind.RATIO]:
         blocks.append(torch.stack(columns[Kind.RATIO], dim=1).log())
@@ -82,10 +82,10 @@ def edges_of(pairs: Candidates, inputs: Sequence[Inputs]) -> Edges:
 
 
 def _needed(inputs: Sequence[Inputs]) -> list[str]:
-    """Attributes that some family needs, each once."""
+    """Attributes that the families need, each once."""
     return list(dict.fromkeys(name for family in inputs for name in family.needs))
 
 
 def _compressed(value: Float[Tensor, "*any"]) -> Float[Tensor, "*any"]:
-    """Signed logarithm: near and far places both keep digits."""
+    """Signed logarithm, which resolves near and far positions."""
     return value.abs().log1p_().copysign_(value)

@@ -1,8 +1,8 @@
 """The learned attack: tomography first, then rounds of candidates, affinities and weighted peaks.
 
-Each round finds every line's candidates around the estimates of the round before, lets the network judge them
-(:mod:`l2p.attacks.learned.network`), and takes the place where their weighted votes settle around their peak. All
-rounds share one network, which was trained on the estimates of all of them.
+Each round finds the candidates of every line from the last estimates, lets the network judge them
+(:mod:`l2p.attacks.learned.network`), and refines the peak of their weighted votes by an M-estimate. All rounds share
+one network, which was trained on the estimates of all of them.
 """
 
 from __future__ import annotations
@@ -36,31 +36,31 @@ from l2p.work.work import ALONE, Work
 
 @dataclass(frozen=True)
 class LearnedConfig:
-    """How the rounds run around the network.
+    """Settings of the rounds around the network.
 
     Attributes
     ----------
     rounds : int
-        Times that the network judges all lines.
+        Number of times that the network judges all lines.
     candidates : int
         Candidates per line: the estimates nearest to it, in units of the square root of their local scale, so that
-        neither the dense nor the sparse places that it passes take all.
+        neither dense nor sparse places along the line provide all candidates.
     peak : PeakConfig
-        The weighted votes are not trimmed: the weights have done it.
+        Search of the peak; votes are not trimmed, since their weights suppress outliers.
     relaxation : float
-        Between two rounds an estimate moves this many times as far as the round moved it: over-relaxation (Young,
-        1954), since the estimates around it are about to move the same way. Moves of more than a local scale, which
-        are changes of mind, stay as they are, and so do those of the last round.
+        Factor on the move of an estimate between two rounds: over-relaxation (Young, 1954), since the estimates around
+        it tend to move the same way. Moves of more than a local scale, to another peak, are not changed, nor are those
+        of the last round.
     settling : int
-        Steps of the M-estimate from Kuiper's peak (:func:`l2p.attacks.peak.settled`); 0 leaves the peak.
+        Steps of the M-estimate from Kuiper's peak (:func:`l2p.attacks.peak.settled`); 0 returns the peak.
     widening : float
         Factor on the predicted spread of votes in the M-estimate: the network's spread is that of correct votes,
         outliers need a wider kernel.
     dimension : float
-        Effective dimension of SfM points, which lie on surfaces and in bunches on them; fitted on thinned training
-        scenes (``benchmarks/spacing_ratio.py``).
+        Effective dimension of SfM points, which form clusters on surfaces; fitted on thinned training scenes
+        (``benchmarks/spacing_ratio.py``).
     tomography : TomographyConfig
-        The coarse stage, and the source of the tomographic inputs.
+        Settings of the coarse stage, which also gives the tomographic inputs.
     nodes : NodesConfig
         Local scales and surfaces.
     """
@@ -90,9 +90,9 @@ class LearnedConfig:
 
 
 class Round(NamedTuple):
-    """The result of a round: estimates of all lines; candidates, affinities and logits of this process's lines.
+    """Result of a round: estimates of all lines; candidates, affinities and logits of this process's lines.
 
-    ``found`` are logits of each point being found within the network's radii.
+    ``found`` holds the logits that the estimate is within each of the network's radii of the point.
     """
 
     estimates: Estimates
@@ -117,20 +117,20 @@ class Learned(Attack):
     network : LineTransformer
     config : LearnedConfig, optional
     calibration : sequence of sequences of (a, b), optional
-        For each round and radius: sigmoid(a found + b) is the probability that a point is within that radius. The
+        For each round and radius: sigmoid(a found + b) is the probability that the error is within the radius. The
         confidence passed from round to round is uncalibrated.
     fraction : float
-        Share of the map's points that the line cloud holds, as far as it is known. The confidence is that of lying
-        within 1 spacing of the *map*, which is less than that of a thinned cloud.
+        Fraction of the map's points in the line cloud, as far as it is known. The confidence is that of lying within
+        1 spacing of the *map*, which is smaller than that of a thinned cloud.
     inputs : sequence of Inputs, optional
-        Families of inputs with the constants that the network was trained with; their defaults when left out.
+        Families of inputs with the constants of the training; default: the default constants.
     source : dict, optional
-        Name and digest of the file that the weights come from, for the record.
+        Name and digest of the file of the weights, for the record.
 
     Raises
     ------
     InputError
-        If there are more rounds than calibrations.
+        If there are fewer calibrations than rounds.
     """
 
     def __init__(
@@ -151,9 +151,9 @@ class Learned(Attack):
                 f"got {len(self.calibration)} calibrations for {self.config.rounds} rounds; expected as many"
             )
         self.fraction, self.source = fraction, source or {}
-        # Without rounds the confidence is the tomography's, which only ranks.
+        # Without rounds, the confidence comes from the tomography and only ranks.
         self.calibrated = self.config.rounds > 0
-        # The last round is part of ``finish``: nothing follows from its estimates.
+        # The last round is in ``finish``: its estimates need no nodes.
         self.rounds = max(0, self.config.rounds - 1)
         self.columns = {"beta": (), "confidence": (), "state": (network.config.state,)}
         # Measured by benchmarks/recover.py.
@@ -168,16 +168,16 @@ class Learned(Attack):
         return State(elements, posterior, nodes_of(elements.lines, Estimates(**saved), self.config.nodes, work))
 
     def step(self, state: State, work: Work) -> State:
-        """Judge all lines, and look around their new estimates."""
+        """Judge all lines, and build the nodes of the new estimates."""
         return self.next(state, self.judge(state, work), work)
 
     def saved(self, state: State) -> Mapping[str, Tensor]:
-        """The estimates, from which the nodes follow."""
+        """Return the estimates, from which the nodes follow."""
         nodes = state.nodes
         return {"beta": nodes.beta, "confidence": nodes.confidence, "state": nodes.state}
 
     def finish(self, state: State, work: Work) -> Estimate:
-        """Judge once more; without rounds, the modes of the posterior."""
+        """Judge once more; without rounds, return the modes of the posterior."""
         own = work.own(len(state.elements))
         if self.config.rounds:
             last = self.judge(state, work)
@@ -187,7 +187,7 @@ class Learned(Attack):
         return Estimate(nodes.beta[own], nodes.confidence[own], candidates, affinity)
 
     def settings(self) -> dict[str, Any]:
-        """Rounds, candidates, size of the network, fraction, and the file of the weights."""
+        """Return rounds, candidates, size of the network, fraction, and the file of the weights."""
         return {
             **asdict(self.config),
             "network": asdict(self.network.config),
@@ -198,7 +198,7 @@ class Learned(Attack):
     # Parts of a round
 
     def first_nodes(self, lines: Lines, posterior: Posterior, work: Work = ALONE) -> Nodes:
-        """The nodes before the first round, from the modes of the posterior."""
+        """Build the nodes of the first round from the modes of the posterior."""
         count = len(lines.direction)
         mode, _ = modes(posterior)
         beta = work.gather(mode, count)
@@ -208,14 +208,14 @@ class Learned(Attack):
         return described(lines, around, Estimates(beta, confidence, state), self.config.nodes, work)
 
     def candidates(self, lines: Lines, nodes: Nodes, work: Work = ALONE) -> Int[Tensor, "own k"]:
-        """The candidates of each line, -1 for none."""
+        """Find the candidates of each line, -1 for none."""
         scale = nodes.scale.sqrt()
         return nearest_points_to_lines(lines, nodes.point, self.config.candidates, scale=scale, work=work).index
 
     def edges(
         self, state: State, rows: Int[Tensor, " rows"], candidates: Int[Tensor, "rows k"], first: int = 0
     ) -> Edges:
-        """The network's inputs for candidates of some rows; the posterior begins with line ``first``."""
+        """Compute the network's inputs for candidates of some rows; the posterior begins with line ``first``."""
         elements, posterior, nodes = state
         pairs = Candidates(elements.lines, nodes, posterior, rows, candidates, first, elements.attributes)
         return edges_of(pairs, self.inputs)
@@ -247,11 +247,11 @@ class Learned(Attack):
         return Round(estimates, candidates, affinity, found)
 
     def next(self, state: State, result: Round, work: Work = ALONE) -> State:
-        """The state after a round that another follows."""
+        """Return the state for the next round."""
         return state._replace(nodes=self.next_nodes(state, result.estimates, work))
 
     def next_nodes(self, state: State, estimates: Estimates, work: Work = ALONE) -> Nodes:
-        """Nodes around the estimates, which move on as far as the relaxation says."""
+        """Build the nodes of the over-relaxed estimates."""
         return nodes_of(state.elements.lines, relaxed(state.nodes, estimates, self.config), self.config.nodes, work)
 
     def passed_confidence(self, found: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:
@@ -267,7 +267,7 @@ class Learned(Attack):
 
 
 def judging_bytes(network: LineTransformer, k: int) -> float:
-    """Temporaries per line with k candidates: kernels of all pairs of them for each head, and their tokens."""
+    """Bytes of temporaries per line with k candidates: kernels of all their pairs in each head, and their tokens."""
     width, heads = network.config.width, network.config.heads
     return 4 * k * (k * (2 * heads + 2) + 12 * width + 450)
 
@@ -280,7 +280,7 @@ def relaxed(nodes: Nodes, estimates: Estimates, config: LearnedConfig) -> Estima
 
 
 def weighted_peak(judgement: Judgement, config: LearnedConfig) -> Float[Tensor, " lines"]:
-    """The peak of the votes, weighted by the network, counted from the estimate before; 0 where there is no vote."""
+    """Find the peak of the weighted votes, relative to the last estimate; 0 where there is no vote."""
     weight = torch.softmax(judgement.vote.flatten(1), dim=1)
     place = judgement.place.flatten(1)
     peak = find_peak(place, weight, config.peak)
@@ -291,16 +291,16 @@ def weighted_peak(judgement: Judgement, config: LearnedConfig) -> Float[Tensor, 
 def spacing_ratio(fraction: float, dimension: float = LearnedConfig.dimension) -> float:
     """Spacing of a map over that of a ``fraction`` of its points: fraction ** (1 / dimension).
 
-    Estimates do not show it well: at 10 % and 5 % of five training scenes theirs gave four fifths of the ratio, since
-    they scatter. The usual dimension of maps does better (``benchmarks/spacing_ratio.py``).
+    A ratio measured on estimates is biased, since they scatter: at 10 % and 5 % of five training scenes it was four
+    fifths of the true one. The effective dimension is more accurate (``benchmarks/spacing_ratio.py``).
     """
     return fraction ** (1 / dimension)
 
 
 def _between(logit: Float[Tensor, "lines radii"], radii: Sequence[float], log_radius: float) -> Float[Tensor, " lines"]:
-    """The logit at a radius between those that the network knows, in line over the logarithm of the radius.
+    """Interpolate the logit at a radius, linearly in the logarithm of the radius.
 
-    Below the smallest the line goes on: with the radius the probability falls to 0.
+    Below the smallest radius it is extrapolated: the probability falls to 0 with the radius.
     """
     known = [math.log(radius) for radius in radii]
     after = min(max(sum(radius <= log_radius for radius in known), 1), len(known) - 1)

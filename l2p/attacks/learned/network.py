@@ -1,18 +1,18 @@
-"""The line transformer: which of a line's candidates are true neighbours, judged by how well their votes agree.
+"""The line transformer: it judges which candidates of a line are true neighbours, by the agreement of their votes.
 
-A candidate's token holds the features of its pair, the state that the candidate took from the round before, and the
-density of the other candidates around the foot of its estimate. Tokens of one line attend to each other by where they
-are along the line: in head h token k reaches token j with the weight
+A candidate's token holds the features of its pair, the candidate's state from the round before, and the density of the
+other candidates around the foot of its estimate. Tokens of one line attend to each other by their positions along the
+line: in head h, token j gathers token k with the weight
 
     A_h[j, k] = (1 + ((t_j - t_k)^2 + g_k^2) / (s_h w_k)^2)^-2,
 
 where t is the foot of an estimate on the line, g its distance from the line, w its local scale and s_h the width of the
 head: (t_j - t_k)^2 + g_k^2 is the squared distance of estimate k from foot j. So sum_k A_h[j, k] / w_k^3 is an adaptive
-kernel estimate of the density of points at foot j; its logarithm, counted from the densest foot of the line, is what a
-line's point is most likely to go by when the others are known (leave-one-out, :mod:`l2p.judging.references`). With the
-same weights the mean of the feet around foot j, a step of mean shift, says on which side of it the densest place is.
-Each layer also sees the mean and the maximum over all tokens, since the places along a line compete. States carry what
-a line has found to the lines around it, round by round.
+kernel estimate of the density of points at foot j; its logarithm, relative to the densest foot of the line, is the
+strongest single cue, as in the leave-one-out bound (:mod:`l2p.judging.references`). With the same weights, the mean of
+the feet around foot j, a step of mean shift, gives the direction to the densest place. Each layer also reads the mean
+and the maximum over all tokens, since the positions along a line compete. States pass the findings of a line to the
+lines around it, round by round.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from torch import Tensor, nn
 from l2p.attacks.learned.edges import Edges, feature_names, vote_names
 from l2p.attacks.learned.inputs import GEOMETRY, inputs_of
 
-#: Densities and shift of a foot in each head: of all candidates, of the confident ones, plain count, and mean shift.
+#: Inputs per foot and head: density of all candidates, of confident ones, number of candidates, and mean shift.
 _AROUND = 4
-#: Logit of what is not there.
+#: Logit of padding.
 NOTHING = -30.0
 #: Logit of padding among votes; low enough to vanish in a softmax over padding only.
 NO_VOTE = -1e9
@@ -37,29 +37,29 @@ NO_VOTE = -1e9
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes of the network, and constants of what it computes.
+    """Sizes and constants of the network.
 
     Attributes
     ----------
     width : int
-        Numbers in a token.
+        Length of a token.
     layers : int
         Attention layers.
     heads : int
-        Widths s_h of the attention, spread geometrically from ``finest`` to ``widest`` local scales.
+        Attention heads; their widths s_h form a geometric series from ``finest`` to ``widest`` local scales.
     inputs : tuple of str
         Families of inputs (:data:`l2p.attacks.learned.inputs.INPUTS`).
     state : int
-        Numbers that each line passes to the lines around it in the next round.
+        Length of the state that each line passes to the lines around it in the next round.
     radii : tuple of float
-        Radii, in spacings of the line cloud's own points, for which the network gives the logit that a point is found
-        within them; 1 is among them.
+        Radii, in spacings of the line cloud's own points, one of them 1; for each, the network gives the logit that the
+        error is within it.
     pooled : int
-        Numbers of a token that are pooled over the line.
+        Length of the part of a token that is pooled over the line.
     farthest_mean : float
-        Local scales that the mean of the feet may lie from a foot.
+        Largest distance of the mean of the feet from a foot, in local scales.
     log_range, log_factor : float
-        Bound of the logarithm of a density against the densest, and its factor: inputs of a network are about 1.
+        Bound of the logarithm of a density over the densest, and its factor, so that inputs are about 1.
     """
 
     width: int = 64
@@ -92,22 +92,22 @@ class NetworkConfig:
 
     @property
     def one(self) -> int:
-        """The radius of 1 spacing among ``radii``."""
+        """Index of the radius of 1 spacing in ``radii``."""
         return self.radii.index(1.0)
 
     @property
     def scales(self) -> list[float]:
-        """The widths s_h."""
+        """Widths s_h of the heads."""
         ratio = (self.widest / self.finest) ** (1 / max(self.heads - 1, 1))
         return [self.finest * ratio**head for head in range(self.heads)]
 
 
 class Judgement(NamedTuple):
-    """The network's word on each line.
+    """Output of the network for each line.
 
     ``affinity``: logit of each candidate being a true neighbour. ``place``: each candidate's votes, positions on the
-    line from the estimate before, ``spread``: the size of their errors, ``vote``: logits of the point being there, over
-    all votes of a line. ``found``: logits of the point being found within each of the radii. ``state`` is passed to the
+    line relative to the last estimate; ``spread``: scale of their errors; ``vote``: logits that the point is there, for
+    a softmax over all votes of a line. ``found``: logits that the error is within each radius. ``state``: passed to the
     next round.
     """
 
@@ -120,22 +120,22 @@ class Judgement(NamedTuple):
 
 
 class Attention(NamedTuple):
-    """Who attends to whom: ``kernel``, unscaled, from token k to token j, 0 from padding; ``share``, the factor that
-    makes what reaches j sum to about 1."""
+    """Attention weights: ``kernel``, unscaled, from token k to token j, 0 from padding; ``share``, the factor that
+    makes the weights of each j sum to about 1."""
 
     kernel: Float[Tensor, "lines heads k j"]
     share: Float[Tensor, "lines heads 1 j"]
 
     def gathered(self, value: Float[Tensor, "lines k width"]) -> Float[Tensor, "lines j width"]:
-        """What each token gathers of the values around it, a part of the width in each head."""
+        """Gather the values around each token; each head gathers its part of the width."""
         heads = self.kernel.shape[1]
-        # Products with rows of 8 numbers are several times faster from the left than from the right.
+        # Narrow matrices (8 numbers) multiply several times faster from the left than from the right.
         parts = value.transpose(1, 2).contiguous().unflatten(1, (heads, -1))
         return (parts @ self.kernel * self.share).flatten(1, 2).transpose(1, 2)
 
 
 class PositionAttention(nn.Module):
-    """Tokens attend to each other by position along the line; the kernels are shared by all layers."""
+    """Attention of tokens by position along the line; all layers share the kernels."""
 
     def __init__(self, width: int, pooled: int) -> None:
         super().__init__()
@@ -149,7 +149,7 @@ class PositionAttention(nn.Module):
     def forward(
         self, token: Float[Tensor, "lines k width"], attention: Attention, valid: Bool[Tensor, "lines k"]
     ) -> Float[Tensor, "lines k width"]:
-        """One layer: gather what is near on the line, and what the whole line holds, then think about it."""
+        """Apply one layer: gather from near tokens and from the whole line, then a feed-forward network."""
         normal = self.norm(token)
         near = attention.gathered(self.value(normal))
         token = token + self._mixed(normal, near, _mean_and_most(self.global_value(normal), valid))
@@ -161,7 +161,7 @@ class PositionAttention(nn.Module):
         near: Float[Tensor, "lines k width"],
         everywhere: Float[Tensor, "lines pooled"],
     ) -> Float[Tensor, "lines k width"]:
-        """``mix`` of the three side by side; what is the same for all tokens of a line is mixed once a line."""
+        """Apply ``mix`` to the three concatenated; the part common to all tokens is computed once per line."""
         width = normal.shape[2]
         own, around, rest = self.mix.weight.split([width, width, everywhere.shape[1]], dim=1)
         line = nn.functional.linear(everywhere, rest, self.mix.bias)[:, None]
@@ -169,7 +169,7 @@ class PositionAttention(nn.Module):
 
 
 class LineTransformer(nn.Module):
-    """Judges the candidates of each line on its own: the answer does not depend on the batch."""
+    """Network that judges the candidates of each line by itself: the result does not depend on the batch."""
 
     def __init__(self, config: NetworkConfig | None = None) -> None:
         super().__init__()
@@ -180,7 +180,7 @@ class LineTransformer(nn.Module):
         self.embed = nn.Sequential(
             nn.Linear(features + state + _AROUND * heads, width), nn.GELU(), nn.Linear(width, width)
         )
-        # Logarithms of the spread of each kind of votes, in local scales.
+        # Logarithm of the spread of each kind of vote, in local scales.
         self.log_spread = nn.Parameter(torch.full((votes,), -1.5))
         self.layers = nn.ModuleList(PositionAttention(width, self.config.pooled) for _ in range(self.config.layers))
         self.norm = nn.LayerNorm(width)
@@ -190,7 +190,7 @@ class LineTransformer(nn.Module):
         )
 
     def forward(self, edges: Edges) -> Judgement:
-        """Judge the candidates; padding gets a logit that stands for nothing."""
+        """Judge the candidates; padding gets the logits ``NOTHING`` and ``NO_VOTE``."""
         attention, around = self._kernels(edges)
         token = self.embed(torch.cat([edges.feature, edges.state, around], dim=2))
         for layer in self.layers:
@@ -205,7 +205,7 @@ class LineTransformer(nn.Module):
         return Judgement(affinity, edges.vote, spread, vote, state, found)
 
     def _kernels(self, edges: Edges) -> tuple[Attention, Float[Tensor, "lines k around"]]:
-        """The attention of each head, and inputs about what is around each foot."""
+        """Compute the attention of each head, and the inputs that describe the surroundings of each foot."""
         valid, count = edges.valid, edges.valid.to(edges.scale.dtype)
         width = edges.scale.masked_fill(~valid, 1.0)
         foot = edges.foot.masked_fill(~valid, 0)
@@ -213,10 +213,10 @@ class LineTransformer(nn.Module):
         gap2 = edges.point_line.square().masked_fill(~valid, torch.inf)
         apart2 = (foot[:, None, :] - foot[:, :, None]).square_().add_(gap2[:, :, None])
         apart2 = apart2.mul_(width.square().reciprocal()[:, :, None])
-        # (1 + a / s^2)^-2 = s^4 (s^2 + a)^-2; the factor goes where there are fewer numbers.
+        # (1 + a / s^2)^-2 = s^4 (s^2 + a)^-2; s^4 is applied later, to fewer numbers.
         scale2 = apart2.new_tensor(self.config.scales).square()[:, None, None]
         kernel = (apart2[:, None] + scale2).pow(-2)
-        # 1 / w^3, counted from the densest so that it stays in range.
+        # 1 / w^3, relative to the densest so that it stays in range.
         weight = -3 * width.log().masked_fill(~valid, torch.inf)
         weight = (weight - weight.amax(dim=1, keepdim=True)).exp().masked_fill(~valid, 0)
         confident = weight * edges.confidence
@@ -236,7 +236,7 @@ class LineTransformer(nn.Module):
 
 
 def _mean_and_most(value: Float[Tensor, "lines k n"], valid: Bool[Tensor, "lines k"]) -> Float[Tensor, "lines two_n"]:
-    """Mean and maximum over a line's candidates; about 0 for a line without any."""
+    """Mean and maximum over a line's candidates; about 0 for a line without candidates."""
     share = valid / valid.sum(dim=1, keepdim=True).clamp_min(1)
     mean = (share[:, None] @ value)[:, 0]
     most = value.masked_fill(~valid[..., None], NOTHING).amax(dim=1)
@@ -251,7 +251,7 @@ def _rising(logit: Float[Tensor, "lines radii"]) -> Float[Tensor, "lines radii"]
 def _pooled(
     token: Float[Tensor, "lines k width"], affinity: Float[Tensor, "lines k"], valid: Bool[Tensor, "lines k"]
 ) -> Float[Tensor, "lines two_widths"]:
-    """Mean token by affinity, and over all candidates."""
+    """Mean token weighted by affinity, and mean over all candidates."""
     weight = torch.sigmoid(affinity) * valid
     share = weight / weight.sum(dim=1, keepdim=True).clamp_min(1e-6)
     everything = valid / valid.sum(dim=1, keepdim=True).clamp_min(1)

@@ -1,7 +1,7 @@
-"""What is known of every line before a round: its estimate, and the estimates around it.
+"""Nodes: the data of every line before a round, from its estimate and the estimates around it.
 
-Neighbours of an estimate give its *local scale*, the distance to the ``scale``-th of them, and two surfaces that they
-lie on, a near and a wide one (:mod:`l2p.geometry.local_planes`).
+Neighbours of an estimate give its *local scale*, the distance to the ``scale``-th neighbour, and two surfaces through
+them, a near and a wide one (:mod:`l2p.geometry.local_planes`).
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ if TYPE_CHECKING:
 
 #: Most estimates per block.
 _BLOCK = 1 << 10
-#: Bytes of temporaries of an estimate per neighbour of its wide surface.
+#: Bytes of temporaries per estimate and neighbour of its wide surface.
 _NEIGHBOR_BYTES = 160
 
 
 @dataclass(frozen=True)
 class NodesConfig:
-    """Neighbourhoods of the estimates.
+    """Settings of the neighbourhoods of estimates.
 
     Attributes
     ----------
     scale : int
         Neighbours that give the local scale and the near surface.
     wide : int
-        Neighbours that give the wide surface: it bends less than things do, but errors of more estimates cancel out.
+        Neighbours that give the wide surface: smoother than the scene, but the errors of more estimates average out.
     shared : int
-        The wide surface is fitted at every so many estimates and shared by those next to it: it varies slowly, and is
-        the most expensive part of a round.
+        The wide surface is fitted at every ``shared``-th estimate only, and used by the nearest others: it varies
+        slowly, and is the most expensive part of a round.
     surface : SurfaceConfig
-        How both are fitted.
+        Fit of both surfaces.
     """
 
     scale: int = 16
@@ -60,7 +60,7 @@ class NodesConfig:
 class Estimates(NamedTuple):
     """State carried from one round to the next, of all lines; ``Nodes`` follow from it.
 
-    ``confidence`` is uncalibrated; ``state`` is what the network passes on to the lines around.
+    ``confidence`` is uncalibrated; ``state`` is passed by the network to the lines around.
     """
 
     beta: Float[Tensor, " lines"]
@@ -69,10 +69,10 @@ class Estimates(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Every line before a round.
+    """Data of every line before a round.
 
     ``scale``, ``surface``, ``wide`` and ``crowd`` (mean confidence) describe the estimates around a line's own;
-    ``typical`` is the median scale of all.
+    ``typical`` is the median of all scales.
     """
 
     beta: Float[Tensor, " lines"]
@@ -89,8 +89,8 @@ class Nodes(NamedTuple):
 class Neighborhood(NamedTuple):
     """Neighbours of the estimates.
 
-    ``tree`` holds all estimates, ``point``; ``near`` are the nearest of each of this process's lines, beside the line's
-    own; ``scale`` is the local scale of all.
+    ``tree`` holds all estimates, ``point``; ``near`` holds those nearest to the estimate of each of this process's
+    lines; ``scale`` is the local scale of all.
     """
 
     tree: KDTree
@@ -100,16 +100,16 @@ class Neighborhood(NamedTuple):
 
 
 def nodes_of(lines: Lines, estimates: Estimates, config: NodesConfig, work: Work = ALONE) -> Nodes:
-    """Build the nodes of all lines; O(lines log lines). Each process describes its own lines, and gathers the rest."""
+    """Build the nodes of all lines; O(lines log lines). Each process computes its own lines and gathers the others."""
     return described(lines, neighborhood(lines, estimates.beta, config, work), estimates, config, work)
 
 
 def neighborhood(lines: Lines, beta: Float[Tensor, " lines"], config: NodesConfig, work: Work = ALONE) -> Neighborhood:
-    """Find the neighbours of every estimate, and so its local scale."""
+    """Find the neighbours of every estimate, which give its local scale."""
     from scipy.spatial import KDTree
 
     point = lines.at(beta)
-    # On the CPU: other devices have no such trees, are slow at many small matrices, or know no double precision.
+    # On the CPU: other devices have no k-d trees, are slow at many small matrices, or lack double precision.
     place = point.cpu().double().numpy()
     tree = KDTree(place)
     own = place[work.own(len(place))]
@@ -132,7 +132,7 @@ def described(
     point, direction, confidence = around.point.cpu(), lines.direction.cpu(), estimates.confidence.cpu()
     place = around.tree.data
     count = len(place)
-    # The wide surfaces are those of every so many estimates, the leaders; the others have that of the nearest one.
+    # Wide surfaces are fitted at every ``shared``-th estimate, the leaders; the others use that of the nearest leader.
     leaders = place[:: config.shared]
     own_leaders, own = leaders[work.own(len(leaders))], place[work.own(count)]
 
@@ -173,7 +173,7 @@ def described(
 def _queried(
     tree: KDTree, places: Float[np.ndarray, "rows 3"], k: int
 ) -> tuple[Float[Tensor, "rows k"], Int[Tensor, "rows k"]]:
-    """Distances and indices of the k points of a tree nearest to places."""
+    """Distances and indices of the k points of a tree nearest to each place."""
     distance, index = tree.query(places, k)
     # SciPy drops the axis of k = 1.
     return torch.as_tensor(distance).view(-1, k), torch.as_tensor(index).view(-1, k)
@@ -182,13 +182,13 @@ def _queried(
 def _over_rows(
     function: Callable[[slice, Work], tuple[Tensor, ...]], count: int, config: NodesConfig, work: Work
 ) -> list[Tensor]:
-    """Columns of results, computed block by block."""
+    """Compute columns of results block by block."""
     blocks = work.over_blocks(function, count, _BLOCK, row_bytes=_NEIGHBOR_BYTES * config.wide)
     results = [result for _, result in blocks] or [function(slice(0), work)]
     return [torch.cat(columns) for columns in zip(*results, strict=True)]
 
 
 def _floored(reach: Float[Tensor, " lines"]) -> Float[Tensor, " lines"]:
-    """Coinciding estimates have no scale of their own; the scene's typical one stands in."""
+    """Raise the scale of coinciding estimates, 0, to a small fraction of the typical scale."""
     apart = reach[reach > 0]
     return reach.clamp_min(1e-3 * apart.median() if len(apart) else 1.0)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from l2p.work.shards import Shards
 
-#: Share of the difference of neighbours that they exchange, which makes a density constant per parent trilinear.
+#: Fraction of their difference that neighbours exchange, so that a density constant per parent becomes trilinear.
 TRILINEAR = 0.25
 
 
@@ -22,8 +22,8 @@ class Cells(NamedTuple):
     """Octree cells of one resolution; the full grid would have ``side`` cells along each axis.
 
     ``place`` holds the indices of each cell along the axes, ``after`` and ``before`` the rows of its neighbours along
-    them, or the number of cells where there is none. ``code`` is 8 x the row of the parent in the coarser level + the
-    octant; it is empty at the coarsest level, which has all cells.
+    them, or the number of cells where there is none. ``code`` is 8 x row of the parent in the coarser level + octant;
+    it is empty at the coarsest level, which has all cells.
     """
 
     side: int
@@ -43,7 +43,7 @@ class Cells(NamedTuple):
         return self.code >> 3
 
     def without_neighbors(self) -> Cells:
-        """Drop positions and neighbours; the rows of the parents are left."""
+        """Drop positions and neighbours; only the rows of the parents remain."""
         none = self.place.new_empty(3, 0)  # not a view, which would hold the memory of all rows
         return self._replace(place=none, after=none, before=none)
 
@@ -53,9 +53,9 @@ class Cells(NamedTuple):
         Parameters
         ----------
         row : (samples,)
-            Cell that the sample was in; the number of cells for a sample outside the box.
+            Cell of the sample in this level; the number of cells for a sample outside the box.
         place : (3, samples)
-            Indices of the sample in the finer grid. Its parent is the cell ``row`` or a neighbour of it; where that
+            Indices of the sample in the finer grid. Its parent is the cell ``row`` or a neighbour of it; if this
             neighbour does not exist, the sample is clamped to its cell.
         """
         count = self.count
@@ -89,19 +89,19 @@ def root(side: int, device: torch.device) -> Cells:
 def children(
     above: Cells, code: Int[Tensor, "lines m"], samples: int, shards: Shards | None = None
 ) -> tuple[Cells, Int[Tensor, "lines m"]]:
-    """Refine cells: the octants that samples fall in, and the row of each sample's new cell.
+    """Refine cells: return the octants that contain samples, and the row of each sample's new cell.
 
     Parameters
     ----------
     above : Cells
         The coarser level.
     code : (lines, m)
-        Octants of this process's samples, from :meth:`Cells.octants`. Overwritten by the rows that are returned; a
-        sample outside the box gets the number of cells.
+        Octants of this process's samples, from :meth:`Cells.octants`. Overwritten by the returned rows; a sample
+        outside the box gets the number of cells.
     samples : int
-        Samples per block; bounds the temporaries.
+        Samples per block; limits the temporaries.
     shards : Shards
-        The samples of all processes make the cells.
+        Processes whose samples together define the cells.
     """
     parents = above.count
     occupied = torch.zeros(8 * parents, dtype=torch.bool, device=code.device)

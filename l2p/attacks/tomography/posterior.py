@@ -1,4 +1,4 @@
-"""Where on each line its point may be: the posterior that the tomography gives."""
+"""The posterior of each line's point, as the tomography computes it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from torch import Tensor
 
 
 class Posterior(NamedTuple):
-    """Where on each line its point may be: samples along it and their probabilities, which sum to 1.
+    """Posterior of the point on each line: samples along the line and their probabilities, which sum to 1.
 
-    A line that misses the box has probability 0 everywhere. ``step`` is the distance of neighbouring samples on the
-    line.
+    A line that misses the box has probability 0 everywhere. ``step`` is the distance of neighbouring samples.
     """
 
     beta: Float[Tensor, "lines m"]
@@ -22,9 +21,10 @@ class Posterior(NamedTuple):
 
 
 def modes(posterior: Posterior) -> tuple[Float[Tensor, " lines"], Float[Tensor, " lines"]]:
-    """The most probable position on each line and its probability.
+    """Return the most probable position on each line and its probability.
 
-    Samples in one cell are equally probable: the middle of those nearest the foot is taken, whichever way a line runs.
+    Samples in one cell are equally probable: their middle is taken, and of several such cells the one nearest to the
+    foot, whatever the direction of the line.
     """
     probability = posterior.probability.amax(dim=1)
     equal = posterior.probability >= (1 - 1e-5) * probability[:, None]
@@ -38,7 +38,7 @@ def modes(posterior: Posterior) -> tuple[Float[Tensor, " lines"], Float[Tensor, 
 def mass_within(
     posterior: Posterior, beta: Float[Tensor, " lines"], radius: float | Float[Tensor, " lines"]
 ) -> Float[Tensor, " lines"]:
-    """Posterior probability that a line's point lies within ``radius`` of ``beta``: how sure the estimate is."""
+    """Posterior probability that a line's point lies within ``radius`` of ``beta``: a confidence."""
     reach = torch.as_tensor(radius, device=beta.device, dtype=beta.dtype).expand_as(beta)
     near = (posterior.beta - beta[:, None]).abs() <= reach[:, None]
     return (posterior.probability * near).sum(dim=1).clamp(0, 1)

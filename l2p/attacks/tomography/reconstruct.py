@@ -1,9 +1,9 @@
-"""Tomography: a density from the lines alone, and the most likely place of each line's point in it.
+"""Tomography: a density from the lines alone, and the most probable position of each line's point in it.
 
 A uniform line cloud is a list-mode emission data set without time of flight: one event per point, all directions
 equally likely. The density lambda follows by expectation maximisation (list-mode MLEM, Shepp & Vardi 1982): each line
 spreads one unit of mass over the cells that it crosses in proportion to lambda (forward projection), and lambda
-becomes the sum of what the lines spread (back projection). A point anywhere is seen by exactly one line, so the
+becomes the sum of this mass over all lines (back projection). Every point is seen by exactly one line, so the
 sensitivity is 1 everywhere and drops out; so does the length of a line inside a cell, which is the same for all
 samples of a line.
 
@@ -12,8 +12,8 @@ posterior mass (:mod:`l2p.attacks.tomography.octree`), and the density of small 
 to that of their ancestors (Polya tree). Time and memory are O(lines x segments), whatever the extent of the scene.
 
 Processes that share the lines (:mod:`l2p.work.shards`) each have samples of their own lines and the density of all.
-What lines spread is added up in integers: unlike sums of rounded numbers they do not depend on the order, so neither
-does the answer on the number of processes.
+Mass is summed in integers: unlike floating-point sums these do not depend on the order, so the result does not depend
+on the number of processes.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from l2p.attacks.tomography.posterior import Posterior
 from l2p.geometry.elements import Lines, picked
 from l2p.work.work import ALONE, Work
 
-#: Most line samples in one block of work, and bytes of temporaries of each.
+#: Most line samples per block, and bytes of temporaries per sample.
 SAMPLES, _SAMPLE_BYTES = 1 << 20, 60
-#: Most that is held of each line meanwhile: samples, and up to a cell for each (``benchmarks/recover.py``).
+#: Peak bytes per line: samples, and up to one cell per sample (measured by ``benchmarks/recover.py``).
 LINE_BYTES = 8200
-#: Mass of a cell that counts as none.
+#: Mass of a cell below which it counts as empty.
 EMPTY = 1e-12
-#: Mass is added up in whole numbers of this: far below the rounding of the numbers that are added, and a power of two,
-#: so that nothing else is rounded. The sums hold 2^28 lines.
+#: Unit of mass in the integer sums: far below the rounding of the summands, and a power of two, so that nothing else
+#: is rounded. The sums hold 2^28 lines.
 _GRAIN = 2.0**-34
-#: From so many cells on they are not halved: eight times as many are not to be numbered in 32 bits.
+#: Number of cells above which refinement stops: eight times as many would overflow int32.
 MOST_CELLS = (1 << 28) - 2
 
 
@@ -53,19 +53,19 @@ class TomographyConfig:
     start : int
         Cells along each side of the box at the first level.
     levels : int
-        Most levels, each with cells of half the side.
+        Most levels; each halves the side of the cells.
     segments : int
-        Segments of each line that are kept from level to level.
+        Segments per line that are kept from level to level.
     iterations : int
-        EM updates at each level. Few: more of them sharpen noise (early stopping).
+        EM updates per level; few, since more of them amplify noise (early stopping).
     smoothing : float
-        Share of a cell's mass that moves to each of its two neighbours along each axis after an update, below 1/3.
+        Fraction of a cell's mass that moves to each of its two neighbours along each axis after an update, below 1/3.
     shrinkage : float
-        Mass of the prior in each parent, against that of the lines in its children.
+        Mass of the prior per parent, added to that of the lines in its children.
     quantile, margin : float
-        The half side of the box is this quantile of the lines' distances from their centre, times the margin.
+        Half the side of the box is this quantile of the lines' distances from their centre, times the margin.
     crowd : float
-        Stop refining when cells hold less mass than this, averaged over the mass.
+        Stop refining when the mean mass of a cell, weighted by mass, is below this.
     """
 
     start: int = 16
@@ -80,10 +80,10 @@ class TomographyConfig:
 
 
 class _Level(NamedTuple):
-    """One resolution: its cells below all their ancestors, coarsest first, and each line's samples in the finest.
+    """One resolution: its cells after all their ancestors, coarsest first, and each line's samples in the finest.
 
-    ``shape`` is the prior's share of each cell in its parent, ``cell`` the row of each sample's cell, the number of
-    cells for a sample outside the box. Cells are those of all lines, samples those of the lines of this process.
+    ``shape`` is the prior's fraction of each cell in its parent; ``cell`` is the row of each sample's cell, or the
+    number of cells for a sample outside the box. Cells are of all lines, samples of the lines of this process.
     """
 
     cells: list[Cells]
@@ -93,15 +93,14 @@ class _Level(NamedTuple):
 
 
 def reconstruct(lines: Lines, config: TomographyConfig | None = None, work: Work = ALONE) -> Posterior:
-    """The posterior of each line's point, by expectation maximisation from coarse to fine.
+    """Compute the posterior of each line's point, by expectation maximisation from coarse to fine.
 
     Parameters
     ----------
     lines : Lines
-        In the working frame (:class:`l2p.geometry.frame.Frame`), along whose axes the grid lies; the unit does not
-        matter.
+        In the working frame (:class:`l2p.geometry.frame.Frame`), whose axes are those of the grid; any unit.
     work : Work
-        The answer is that of the lines of this process.
+        The result is for the lines of this process.
     """
     half, level, density = _converged(lines, config or TomographyConfig(), work)
     own = lines.rows(work.own(len(lines.direction)))
@@ -128,7 +127,7 @@ def _converged(
             for _ in range(config.iterations):
                 density = _update(level, density, config, work)
                 advance(1)
-            # Processors of another make may add it up to other digits, and all have to stop as one.
+            # Other processors may round the sum differently, but all ranks must stop at the same level.
             if float(work.shards.first(_crowd(density))) < config.crowd or len(density) > MOST_CELLS:
                 break
     return half, level, density
@@ -142,7 +141,7 @@ def _half_side(lines: Lines, config: TomographyConfig) -> float:
 
 
 def _first_level(lines: Lines, half: float, side: int, work: Work = ALONE) -> _Level:
-    """All cells of the box; samples where a line crosses the middle planes of the slabs along its dominant axis."""
+    """Make all cells of the box; samples are where a line crosses the mid-planes of slabs along its dominant axis."""
     axis = lines.direction.abs().argmax(dim=1, keepdim=True)
     plane = (torch.arange(side, device=axis.device) + 0.5) * (2 * half / side) - half
     beta = (plane - lines.foot.gather(1, axis)) / lines.direction.gather(1, axis)
@@ -158,14 +157,14 @@ def _first_level(lines: Lines, half: float, side: int, work: Work = ALONE) -> _L
 def _refined(
     lines: Lines, half: float, level: _Level, density: Float[Tensor, " cells"], segments: int, work: Work
 ) -> _Level:
-    """The most probable segments of each line, each cut in two, and the halves of the cells that they cross."""
+    """Halve the most probable segments of each line, and the cells that they cross."""
     keep = min(segments, level.cell.shape[1])
     above = level.cells[-1]
     quarter = (half / above.side / 2) / lines.direction.abs().amax(dim=1, keepdim=True)
     beta = level.beta.new_empty(len(level.beta), 2 * keep)
     code = torch.empty_like(beta, dtype=torch.int32)
     for rows in _blocks(level.cell, work):
-        # In the order along the line, whatever the order of equals.
+        # Sorted along the line, whatever the order of equal values.
         best = torch.topk(_posterior(level, density, rows), keep, dim=1, sorted=False).indices.sort(dim=1).values
         middle = level.beta[rows].gather(1, best)
         beta[rows] = torch.stack([middle - quarter[rows], middle + quarter[rows]], dim=2).flatten(1)
@@ -179,7 +178,7 @@ def _refined(
 
 
 def _places(lines: Lines, half: float, side: int, beta: Float[Tensor, "lines m"]) -> Int[Tensor, "3 lines m"]:
-    """The cell indices of samples along the three axes."""
+    """Cell indices of samples along the three axes."""
     foot = lines.foot
     place = [foot[:, axis, None] + beta * lines.direction[:, axis, None] for axis in range(3)]
     # Far samples of the first level must not overflow.
@@ -189,14 +188,14 @@ def _places(lines: Lines, half: float, side: int, beta: Float[Tensor, "lines m"]
 def _update(
     level: _Level, density: Float[Tensor, " cells"], config: TomographyConfig, work: Work = ALONE
 ) -> Float[Tensor, " cells"]:
-    """One EM update: forward projection, back projection, then the prior."""
+    """Do one EM update: forward projection, back projection, then the prior."""
     mass = smooth(_back_projection(level, density, work), level.cells[-1], config.smoothing)
     return _shrink(mass, level.cells, level.shape, config.shrinkage)
 
 
 def _back_projection(level: _Level, density: Float[Tensor, " cells"], work: Work = ALONE) -> Float[Tensor, " cells"]:
-    """The sum of what the lines spread, whatever their order: MLEM with a sensitivity of 1."""
-    # Apple's GPUs add up no integers of this size.
+    """Sum the mass that all lines spread, in any order: MLEM with a sensitivity of 1."""
+    # Apple's GPUs cannot sum 64-bit integers.
     whole = density.dtype if density.device.type == "mps" else torch.int64
     mass = torch.zeros(len(density) + 1, dtype=whole, device=density.device)
     for rows in _blocks(level.cell, work):
@@ -219,16 +218,16 @@ def _along(level: _Level, density: Float[Tensor, " cells"], rows: slice) -> Floa
 
 
 def _padded(density: Float[Tensor, " cells"]) -> Float[Tensor, " cells_and_outside"]:
-    """Density by row of the cells, and 0 for the row of samples outside the box."""
+    """Append 0 to the density of the cells, for samples outside the box."""
     return torch.cat([density, density.new_zeros(1)])
 
 
 def _shrink(
     mass: Float[Tensor, " cells"], cells: list[Cells], shape: list[Float[Tensor, " _"]], strength: float
 ) -> Float[Tensor, " cells"]:
-    """Polya tree: a parent's own shrunk mass, divided among its children by their mass plus that of the prior.
+    """Shrink by a Polya tree: divide each parent's shrunk mass among its children by their mass plus the prior's.
 
-    The prior has mass ``strength`` in each parent, and the shape of the density of the level before, interpolated.
+    The prior has mass ``strength`` per parent, and the shape of the interpolated density of the level before.
     """
     if len(cells) == 1 or strength == 0:
         return mass
@@ -239,7 +238,7 @@ def _shrink(
 
 
 def _crowd(density: Float[Tensor, " cells"]) -> Float[Tensor, ""]:
-    """Mass of the cell that a unit of mass is in, on average."""
+    """Mean mass of a cell, weighted by mass."""
     return density.square().sum() / density.sum().clamp_min(torch.finfo(density.dtype).tiny)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from l2p.attacks.learned.inputs.family import Inputs
 from l2p.errors import InputError
 
-#: Where each family is. A checkpoint names its families and their constants, so a row must not change its meaning.
+#: Module and class of each family. Checkpoints name their families, so a name must not change its meaning.
 INPUTS: dict[str, str] = {
     "position": "l2p.attacks.learned.inputs.position:Position",
     "scale": "l2p.attacks.learned.inputs.scale:Scale",
@@ -21,17 +21,17 @@ INPUTS: dict[str, str] = {
     "surface": "l2p.attacks.learned.inputs.surface:NearSurface",
     "wide_surface": "l2p.attacks.learned.inputs.surface:WideSurface",
 }
-#: The families of a network that is not asked for others.
+#: Default families of a network.
 GEOMETRY = ("position", "scale", "distance", "angle", "tomography", "confidence", "surface", "wide_surface")
 
 
 def inputs_of(names: Sequence[str], constants: Mapping[str, Mapping[str, Any]] | None = None) -> tuple[Inputs, ...]:
-    """Build families by their names, with their own constants or with those of a checkpoint.
+    """Build families by their names, with their default constants or those of a checkpoint.
 
     Raises
     ------
     InputError
-        If a name is unknown or named twice, the constants are not those of the family, or no family votes.
+        If a name is unknown or given twice, the constants are not those of the family, or no family votes.
     """
     built = tuple(_built(name, None if constants is None else constants[name]) for name in names)
     if len(set(names)) < len(names):

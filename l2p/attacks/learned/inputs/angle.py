@@ -11,12 +11,12 @@ from l2p.attacks.learned.inputs.family import Kind, Values
 
 @dataclass(frozen=True)
 class Angle:
-    """The cosine, whichever way the lines run."""
+    """Absolute cosine of the angle, which does not depend on the signs of the directions."""
 
     columns: ClassVar = {"cosine": Kind.NUMBER}
     votes: ClassVar = ()
     needs: ClassVar = ()
 
     def of(self, pairs: Candidates) -> Values:
-        """Read it off the pairs."""
+        """Return the column."""
         return Values([pairs.cosine.abs()])

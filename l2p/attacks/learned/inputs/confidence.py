@@ -1,4 +1,4 @@
-"""How confident the round before was of the estimates of a pair, and of those around the candidate's."""
+"""Confidence of the round before, in the estimates of a pair and in those around the candidate's."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from l2p.attacks.learned.inputs.family import Kind, Values
 
 @dataclass(frozen=True)
 class Confidence:
-    """Of the candidate, of the line itself, and the mean around the candidate."""
+    """Confidence of the candidate, of the line itself, and the mean around the candidate."""
 
     columns: ClassVar = {"confidence": Kind.NUMBER, "own_confidence": Kind.NUMBER, "crowd": Kind.NUMBER}
     votes: ClassVar = ()
     needs: ClassVar = ()
 
     def of(self, pairs: Candidates) -> Values:
-        """Read them off the pairs."""
+        """Return the columns."""
         confidence = pairs.other(pairs.nodes.confidence)
         own = pairs.own(pairs.nodes.confidence).expand_as(confidence)
         return Values([confidence, own, pairs.other(pairs.nodes.crowd)])

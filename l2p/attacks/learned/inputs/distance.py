@@ -11,12 +11,12 @@ from l2p.attacks.learned.inputs.family import Kind, Values
 
 @dataclass(frozen=True)
 class Distance:
-    """Distances of line and line, estimate and line, line and estimate, estimate and estimate.
+    """Distances line-line, estimate-line, line-estimate and estimate-estimate.
 
     Attributes
     ----------
     least : float
-        Typical scales added to a distance before its logarithm, which is then finite.
+        Constant added to a distance before its logarithm, which is then finite; in typical scales.
     """
 
     columns: ClassVar = {
@@ -32,7 +32,7 @@ class Distance:
     least: float = 1e-3
 
     def of(self, pairs: Candidates) -> Values:
-        """Read them off the pairs."""
+        """Return the columns."""
         typical = pairs.nodes.typical
         between = (pairs.here - pairs.point).norm(dim=-1)
         logs = [length / typical + self.least for length in (pairs.line_line, pairs.point_line)]

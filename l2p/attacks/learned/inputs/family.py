@@ -13,11 +13,11 @@ from l2p.attacks.learned.candidates import Candidates
 
 
 class Kind(Enum):
-    """How a quantity becomes an input, which does not depend on the scene's size nor on a line's direction.
+    """Conversion of a quantity to an input that does not depend on the scene's size or the sign of a direction.
 
-    ``POSITION``: along the line from its foot; counted from its estimate, to the side where the feet are skewed, over
-    the candidate's local scale, compressed by a signed logarithm. ``LENGTH``: over the candidate's local scale,
-    compressed. ``RATIO``: its logarithm. ``NUMBER``: as it is.
+    ``POSITION`` (along the line, from its foot): taken relative to the line's estimate, positive to the side where the
+    feet are skewed, divided by the candidate's local scale, compressed by a signed logarithm. ``LENGTH``: divided by
+    the candidate's local scale, compressed. ``RATIO``: its logarithm. ``NUMBER``: unchanged.
     """
 
     POSITION = 0
@@ -27,8 +27,8 @@ class Kind(Enum):
 
 
 class Values(NamedTuple):
-    """The columns of a family for candidate pairs, in the order of ``Inputs.columns``, and its votes, positions on the
-    line from its foot, in the order of ``Inputs.votes``."""
+    """Columns of a family for candidate pairs, in the order of ``Inputs.columns``, and its votes, positions on the line
+    from its foot, in the order of ``Inputs.votes``."""
 
     columns: list[Float[Tensor, "rows k"]]
     votes: Sequence[Float[Tensor, "rows k"]] = ()
@@ -36,17 +36,17 @@ class Values(NamedTuple):
 
 @runtime_checkable
 class Inputs(Protocol):
-    """A family: a frozen dataclass whose fields are its constants, all numbers, which a checkpoint holds.
+    """A family: a frozen dataclass whose fields are its constants, all numbers, saved in checkpoints.
 
     Attributes
     ----------
     columns : mapping
         Name and kind of each input.
     votes : tuple of str
-        Names of the places where this family says that a line's point is.
+        Names of the votes of this family: positions on the line.
     needs : tuple of str
-        Attributes that have to be published beside the lines. Where one is absent, the columns are 0, and so is a
-        further column that says whether it is there. Such a family has no votes.
+        Published attributes of the lines that the family needs. Each has a further column: 1 if present, 0 if absent.
+        If one is absent, all columns of the family are 0. Such a family has no votes.
     """
 
     columns: Mapping[str, Kind]

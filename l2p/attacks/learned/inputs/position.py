@@ -1,4 +1,4 @@
-"""Where on the line a candidate's estimate has its foot, and where the two lines are closest."""
+"""Positions on the line: the foot of a candidate's estimate, and the point closest to the candidate."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from l2p.attacks.learned.inputs.family import Kind, Values
 
 @dataclass(frozen=True)
 class Position:
-    """Foot and closest point, and how far they are apart; the closest point votes."""
+    """Foot, closest point, and their distance; the closest point votes."""
 
     columns: ClassVar = {"foot": Kind.POSITION, "closest": Kind.POSITION, "foot_closest": Kind.LENGTH}
     votes: ClassVar = ("closest",)
     needs: ClassVar = ()
 
     def of(self, pairs: Candidates) -> Values:
-        """Read them off the pairs."""
+        """Return columns and vote."""
         return Values([pairs.foot, pairs.closest, (pairs.closest - pairs.foot).abs()], [pairs.closest])

@@ -1,4 +1,4 @@
-"""The local scale of a candidate, against that of the scene and of the line's own estimate."""
+"""The local scale of a candidate, relative to that of the scene and of the line's own estimate."""
 
 from __future__ import annotations
 

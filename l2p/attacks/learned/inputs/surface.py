@@ -1,4 +1,4 @@
-"""Where the line cuts the surfaces around a candidate's estimate, and how it lies to them."""
+"""Intersections of the line with the surfaces around a candidate's estimate, and its angle to them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class _Cut:
     grazing : float
         Least absolute cosine to the normal; lines at a shallower angle are clamped to it.
     farthest : float
-        Local scales; a vote lies no farther from the foot.
+        Largest distance of a vote from the foot, in local scales.
     """
 
     needs: ClassVar = ()
@@ -38,7 +38,7 @@ class _Cut:
 
 @dataclass(frozen=True)
 class NearSurface(_Cut):
-    """The surface of the nearest estimates."""
+    """Surface of the nearest estimates."""
 
     columns: ClassVar = {
         "cut": Kind.POSITION,
@@ -58,7 +58,7 @@ class NearSurface(_Cut):
 
 @dataclass(frozen=True)
 class WideSurface(_Cut):
-    """The surface of many estimates."""
+    """Surface of many estimates."""
 
     columns: ClassVar = {f"wide_{name}": kind for name, kind in NearSurface.columns.items()}
     votes: ClassVar = ("wide_cut",)

@@ -1,4 +1,4 @@
-"""How probable tomography takes the places that a candidate speaks for."""
+"""Tomographic posterior at the positions that a candidate proposes."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ class TomographicMass:
     least: float = 1e-4
 
     def of(self, pairs: Candidates) -> Values:
-        """Add up the samples of the posterior that are near."""
+        """Sum the posterior over the near samples."""
         rows = pairs.rows - pairs.first
         beta = pairs.posterior.beta.index_select(0, rows)
         probability = pairs.posterior.probability.index_select(0, rows)
         place, reach = torch.cat([pairs.foot, pairs.closest], dim=1), pairs.scale.repeat(1, 2)
-        # 1 within reach, 0 beyond: all pairs of samples and places cost a fifth of looking each place up.
+        # 1 within reach, 0 beyond: comparing all samples with all places takes a fifth of the time of searching.
         near = (beta[:, :, None] - place[:, None]).abs_().lt_(reach[:, None])
         mass = (probability[:, None] @ near)[:, 0]
         return Values(list(torch.log(mass + self.least).chunk(2, dim=1)))
