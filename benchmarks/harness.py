@@ -51,7 +51,7 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Setting:
-    """Setting of an attack: arguments of ``l2p.recover``, threads (0: torch's choice), seconds by part?, checkout."""
+    """Setting of an attack: arguments of ``l2p.recover``, threads (0: torch's choice), whether by part, checkout."""
 
     method: str
     rounds: int | None = None
