@@ -1,7 +1,7 @@
 """Attack one line cloud in this process, and report seconds: the child process of ``harness.py``.
 
 It uses public names of l2p only, so that it runs with the l2p of any checkout on PYTHONPATH. It reads a job as JSON,
-then attacks once for each line that it reads. While it waits, its parent looks at its memory.
+then attacks once per line of stdin. Between attacks, its parent measures its memory.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ import torch
 
 import l2p
 
-#: Loaded by every attack: their memory is not the attack's.
+#: Libraries that every attack loads, imported here so that their memory is not counted as the attack's.
 LIBRARIES = (torch, scipy.spatial)
 
 
 class Clock:
-    """A progress that adds up the seconds of each task by name."""
+    """Progress that adds up the seconds of each task by name."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
@@ -39,7 +39,7 @@ class Clock:
 
 
 def read(job: dict[str, Any], clock: Clock) -> l2p.LineCloud:
-    """The lines from plain arrays, which every checkout reads; if parts are asked for, from a file of l2p."""
+    """Read the lines from plain arrays, which work with every checkout; for seconds by part, from a file of l2p."""
     if job["parts"]:
         with clock.task("read and write", total=0):
             return l2p.load(job["path"] + ".npz", l2p.LineCloud)

@@ -1,7 +1,7 @@
-"""Line clouds, attacks on them in child processes, comparisons by turns, and tables: what the benchmarks share.
+"""Helpers of the benchmarks: line clouds, attacks on them in child processes, alternating comparisons, tables.
 
-An attack runs in a process of its own (``attacked.py``), so that its peak of memory is its own, and with the l2p of any
-checkout. Peaks are those of resident memory (VmHWM of Linux) beyond what the process held when the attack began.
+Each attack runs in its own process (``attacked.py``), so that its peak memory can be measured, and with the l2p of any
+checkout. A peak is the largest resident memory (VmHWM of Linux) minus the resident memory when the attack began.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from l2p.work.resident import measured_peak, resident_gib
 
 ROOT = Path(__file__).resolve().parents[1]
 CHILD = Path(__file__).with_name("attacked.py")
-#: Characters in a row of a table at most.
+#: Most characters in a row of a table.
 WIDTH = 220
-#: Least probability that the interval of a ratio holds the true median.
+#: Least probability that the interval of a ratio contains the true median.
 SURE = 0.93
 
 Found = TypeVar("Found")
@@ -39,9 +39,9 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """A line cloud, and the points behind its lines if they are known.
+    """Line cloud, and the points behind its lines if they are known.
 
-    ``path`` with ``.npz`` after it is its file, with ``.arrays.npz`` its numbers as plain arrays.
+    Its file is ``path`` + ``.npz``, its plain arrays are in ``path`` + ``.arrays.npz``.
     """
 
     path: Path
@@ -51,7 +51,7 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Setting:
-    """How an attack runs: words of ``l2p.recover``, threads (0: torch chooses), seconds by part or not, whose l2p."""
+    """Setting of an attack: arguments of ``l2p.recover``, threads (0: torch's choice), whether by part, checkout."""
 
     method: str
     rounds: int | None = None
@@ -63,7 +63,7 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One attack: wall-clock and CPU seconds, GiB at the peak (NaN if unknown), seconds by part, the points."""
+    """Result of one attack: wall-clock and CPU seconds, GiB at the peak (NaN if unknown), seconds by part, points."""
 
     seconds: float
     cpu: float
@@ -75,7 +75,7 @@ class Run:
 
 @dataclass(eq=False)
 class Taken:
-    """Figures of repeated runs, in the order of the turns, and one of the runs."""
+    """Figures of repeated runs, in order, and one of the runs."""
 
     seconds: list[float]
     cpu: list[float]
@@ -84,18 +84,18 @@ class Taken:
 
 
 def hidden(xyz: Float[np.ndarray, "points 3"]) -> tuple[l2p.LineCloud, Float[np.ndarray, "lines 3"]]:
-    """The line cloud of some points, and the point behind each line; the same each time."""
+    """Lift points, with a fixed seed; return the line cloud, and the point behind each line."""
     lines, index = l2p.lift_indexed(xyz, seed=0)
     return lines, xyz[index]
 
 
 def simulated(kind: str, count: int, folder: Path) -> Cloud:
-    """The cloud of a simulated scene with so many points."""
+    """Lift a simulated scene of ``count`` points."""
     return _saved(f"{kind}-{count}", folder, *hidden(l2p.simulate(kind, points=count, seed=0).xyz))
 
 
 def from_file(path: str, folder: Path) -> Cloud:
-    """The line cloud of a file, or that of the scene in it."""
+    """Read a line cloud from a file, or lift the scene in it."""
     thing = l2p.load(path)
     return _saved(Path(path).stem, folder, *((thing, None) if isinstance(thing, l2p.LineCloud) else hidden(thing.xyz)))
 
@@ -108,7 +108,7 @@ def _saved(name: str, folder: Path, lines: l2p.LineCloud, truth: np.ndarray | No
 
 
 class Attacker:
-    """A child process that attacks a cloud as often as it is asked to, until the ``with`` block ends."""
+    """Child process that attacks a cloud at each call of ``attack``, until the ``with`` block ends."""
 
     def __init__(self, cloud: Cloud, setting: Setting) -> None:
         words = {"method": setting.method, "rounds": setting.rounds, "memory": setting.memory}
@@ -131,7 +131,7 @@ class Attacker:
         self.child.communicate()
 
     def attack(self) -> Run:
-        """Attack once, and look at the memory of the child from here."""
+        """Attack once, and measure the memory of the child from this process."""
         before = resident_gib(self.child.pid)
         with measured_peak(self.child.pid) as peak:
             facts = self._asked()
@@ -143,7 +143,7 @@ class Attacker:
         return Run(**facts, gib=gib, recovery=recovery)
 
     def _asked(self, word: str = "") -> dict[str, Any]:
-        """Send a line to the child; returns its answer."""
+        """Send a line to the child; return its answer."""
         assert self.child.stdin is not None and self.child.stdout is not None
         self.child.stdin.write(word + "\n")
         self.child.stdin.flush()
@@ -154,7 +154,7 @@ class Attacker:
 
 
 def by_turns(works: Sequence[Callable[[], Found]], repeat: int) -> list[list[Found]]:
-    """Do all works so many times; every second time backwards, so that a slow drift of the machine cancels."""
+    """Call all works ``repeat`` times, in reverse order every second time, to cancel slow drift of the machine."""
     found: list[list[Found]] = [[] for _ in works]
     for turn in range(repeat):
         for number in sorted(range(len(works)), reverse=turn % 2 == 1):
@@ -163,9 +163,9 @@ def by_turns(works: Sequence[Callable[[], Found]], repeat: int) -> list[list[Fou
 
 
 def measured(cloud: Cloud, settings: Sequence[Setting], processes: int, again: int = 0) -> list[Taken]:
-    """Attack a cloud in each way by turns, in so many processes each, and ``again`` in each of these.
+    """Attack a cloud with each setting in turn, in ``processes`` processes each, and ``again`` times more in each.
 
-    Memory is that of the first attack of a process, seconds are those of the later ones, if there are any: the first
+    Memory is that of the first attack of a process. Seconds are those of the later ones, if there are any: the first
     one also starts threads and loads files.
     """
     taken = [Taken([], [], []) for _ in settings]
@@ -183,9 +183,9 @@ def measured(cloud: Cloud, settings: Sequence[Setting], processes: int, again: i
 
 
 def ratio(own: Iterable[float], other: Iterable[float]) -> str:
-    """The median of the ratios of pairs, and an interval that holds the true one with probability ``SURE``.
+    """Median of the ratios of pairs, and an interval that contains the true one with probability ``SURE``.
 
-    Its ends are order statistics (sign test): of few pairs the least and the greatest.
+    Its ends are order statistics (sign test): the least and the greatest ratio, if there are few pairs.
     """
     pairs = sorted(mine / theirs for mine, theirs in zip(own, other, strict=True))
     count, outside = len(pairs), 0
@@ -199,7 +199,7 @@ def ratio(own: Iterable[float], other: Iterable[float]) -> str:
 
 
 def print_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Print a table that can be pasted into a page (Markdown); on stderr also each row when it is there."""
+    """Print a table in Markdown; on stderr also each row as soon as it is measured."""
     table = Table(box=box.MARKDOWN)
     for number, head in enumerate(heads):
         table.add_column(head, justify="right" if number else "left", no_wrap=True)

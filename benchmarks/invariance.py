@@ -1,11 +1,11 @@
-"""Measure how far an attack depends on frame, scale, order and direction of the lines, on which it must not depend.
+"""Measure how much an attack depends on frame, scale, order and direction of the lines: it should not.
 
     python benchmarks/invariance.py ../shared/scenes/val/room_chair.npz
 
-Each scene is lifted once, and its line cloud is attacked as it is and after every change; the points are carried back.
-Prints, for each change, the share of the points within 0.1 spacing of the first run's, that share among the more
+Each scene is lifted once. Its line cloud is attacked unchanged and after every change; the points are transformed back.
+Prints, for each change, the share of points within 0.1 spacing of the unchanged run's, that share among the more
 confident half of the lines, and the ratios of the median errors and of the shares within 1 spacing: docs/experiments.md
-has them. The last change, rounding to single precision, gives other lines; it is there to compare with.
+has them. The last change, rounding to single precision, gives other lines and serves as a comparison.
 """
 
 from __future__ import annotations
@@ -28,40 +28,40 @@ HEADS = ("scene", "change", "within 0.1 spacing", "of the confident half", "medi
 
 
 class Change(NamedTuple):
-    """A changed line cloud, and how its points are carried back."""
+    """Changed line cloud, and the transformation of its points back."""
 
     lines: LineCloud
     back: Callable[[np.ndarray], np.ndarray]
 
 
 def flipped(lines: LineCloud, rng: np.random.Generator) -> Change:
-    """Half of the directions reversed."""
+    """Reverse half of the directions."""
     sign = rng.choice([-1.0, 1.0], size=(len(lines), 1))
     return Change(LineCloud(sign * lines.direction, sign * lines.moment), lambda xyz: xyz)
 
 
 def shuffled(lines: LineCloud, rng: np.random.Generator) -> Change:
-    """The lines in another order."""
+    """Put the lines in another order."""
     order = rng.permutation(len(lines))
     return Change(LineCloud(lines.direction[order], lines.moment[order]), lambda xyz: xyz[np.argsort(order)])
 
 
 def scaled(lines: LineCloud, rng: np.random.Generator) -> Change:
-    """In another unit, and far from the origin."""
+    """Change the unit, and shift the lines far from the origin."""
     shift = 1e3 * rng.normal(size=3)
     moved = LineCloud.through(1000.0 * lines.origin + shift, lines.direction)
     return Change(moved, lambda xyz: (xyz - shift) / 1000.0)
 
 
 def turned(lines: LineCloud, rng: np.random.Generator) -> Change:
-    """Rotated at random."""
+    """Rotate the lines at random."""
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     return Change(LineCloud.through(lines.origin @ turn.T, lines.direction @ turn.T), lambda xyz: xyz @ turn)
 
 
 def rounded(lines: LineCloud, rng: np.random.Generator) -> Change:
-    """Written in single precision: not the same lines."""
+    """Round to single precision: not the same lines."""
     direction, moment = (part.astype(np.float32).astype(np.float64) for part in (lines.direction, lines.moment))
     return Change(LineCloud(direction, moment), lambda xyz: xyz)
 
@@ -76,7 +76,7 @@ CHANGES = {
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="+", help="scenes: files, or folders of COLMAP models")
     parser.add_argument("--method", choices=METHODS, default="learned", help="(default: %(default)s)")
@@ -84,7 +84,7 @@ def arguments() -> argparse.Namespace:
 
 
 def rows(name: str, method: str) -> Iterator[list[str]]:
-    """A row for each change of a scene."""
+    """Yield a row for each change of a scene."""
     scene = l2p.load(name, l2p.Scene)
     lines, truth = hidden(scene.xyz)
     unit, first = spacing(scene.xyz), l2p.recover(lines, method=method, progress=terminal_progress())

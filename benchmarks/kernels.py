@@ -1,18 +1,18 @@
-"""Measure the two kernels that take most of the time: an EM update of the tomography, a round of the learned attack.
+"""Measure the two slowest kernels: an EM update of the tomography, and a round of the learned attack.
 
     python benchmarks/kernels.py update --lines 30000
     python benchmarks/kernels.py round --lines 6000 --threads 2
 
-``update`` answers how close an update comes to what the machine can do, in visits per second. A visit is one sample of
-a line in one cell, read once (forward projection) and added to once (back projection); the bare kernel reads and adds
-the same samples in one block, without normalising: the rate of memory in plain torch. docs/open-problems.md has the
-rates; the variants that were tried and rejected are in ``benchmarks/voxel_visits.py`` at 70b056c. The title has the
-number of cells, which docs/scaling.md needs per line.
+``update`` compares the rate of an update with the limit of the machine, in visits per second. A visit is one sample of
+a line in one cell, read once (forward projection) and added to once (back projection). The bare kernel reads and adds
+the same samples in one block, without normalising: the memory rate in plain torch. docs/open-problems.md has the rates;
+rejected variants are in ``benchmarks/voxel_visits.py`` at 70b056c. The title has the number of cells, which
+docs/scaling.md needs per line.
 
-``round`` answers whether blocks of lines side by side, each on one thread, beat torch's own threads in each operation:
-milliseconds per line of features, network and peaks, without the search for candidates. Each way runs in a process of
-its own, with threads that spin while they wait (active) and that sleep (passive, as the command line sets it).
-docs/performance.md has the table. Both count the best of some repetitions.
+``round`` compares blocks of lines side by side, each on one thread, with torch's own threads in each operation:
+milliseconds per line for features, network and peaks, without the search for candidates. Each way runs in its own
+process, with waiting threads that spin (active) or sleep (passive, the setting of the command line).
+docs/performance.md has the table. Both report the fastest of several repetitions.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ POLICIES = ("ACTIVE", "PASSIVE")
 
 
 def best(work: Callable[[], object], repeat: int) -> float:
-    """Seconds of the fastest of some runs; one more comes before them."""
+    """Seconds of the fastest of ``repeat`` runs, after one to warm up."""
     seconds = []
     for _ in range(repeat + 1):
         began = time.perf_counter()
@@ -53,7 +53,7 @@ def best(work: Callable[[], object], repeat: int) -> float:
 
 
 def last_update(kind: str, lines: int) -> mock.Mock:
-    """The last EM update of a reconstruction, at the finest level: a mock that was called with its arguments."""
+    """Return a mock whose last call is the last EM update of a reconstruction, at the finest level."""
     cloud, _ = hidden(l2p.simulate(kind, points=lines, seed=0).xyz)
     with mock.patch.object(tomography, "_update", wraps=tomography._update) as update:
         tomography.reconstruct(Frame.of(cloud).enter(cloud))
@@ -101,7 +101,7 @@ def round_ms(way: str, given: argparse.Namespace) -> float:
 
 
 def show_round(given: argparse.Namespace) -> None:
-    """Print milliseconds per line of each way, each in a fresh process: the policy is read when torch loads."""
+    """Print milliseconds per line of each way, each in a new process: torch reads the wait policy when it loads."""
     rows = []
     for way in WAYS:
         command = [sys.executable, __file__, *sys.argv[1:], "--way", way]
@@ -114,7 +114,7 @@ def show_round(given: argparse.Namespace) -> None:
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kernel", choices=("update", "round"), help="what to measure")
     parser.add_argument("--lines", type=int, default=30_000, help="simulated lines (default: %(default)s)")
@@ -127,7 +127,7 @@ def arguments() -> argparse.Namespace:
 
 @torch.inference_mode()
 def main() -> None:
-    """Measure the kernel that was asked for."""
+    """Measure the given kernel."""
     given = arguments()
     if given.way:
         print(round_ms(given.way, given))

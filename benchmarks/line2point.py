@@ -3,11 +3,11 @@
     python benchmarks/line2point.py --reference path/to/Line2Point --lines 10000
 
 docs/experiments.md has the table. Seconds count from the loaded points to the last estimate; CPU seconds are those of
-whole programs, imports included. The error of Line2Point includes one free vote for the truth a line: each line counts
-as its own neighbour, and the origin of each line is the true point. l2p has neither, and cannot be told to.
+whole programs, imports included. Line2Point has one free vote for the truth per line: each line counts as its own
+neighbour, and the origin of each line is the true point. l2p has no such vote, and no option for it.
 
-Line2Point (https://github.com/kunalchelani/Line2Point) has no licence, so no part of it is here: clone it and name the
-folder. Its program runs as it is, in its folder, with the interpreter that runs this file. It needs open3d, scipy and
+Line2Point (https://github.com/kunalchelani/Line2Point) has no licence, so no part of it is here: clone it and pass the
+folder. Its program runs unchanged, in its folder, with the interpreter that runs this file. It needs open3d, scipy and
 tqdm, which the virtual environment of this project has.
 """
 
@@ -32,11 +32,11 @@ import l2p
 from l2p.judging.accuracy import spacing
 
 PROGRAM = "Recover.py"
-#: A line that the program prints when its points are loaded and its attack begins.
+#: Line that the program prints when its points are loaded and its attack begins.
 BEGIN = "Finding Coarse Estimates"
 ROUNDS = 3
 HEADS = ("program", "seconds", "times faster", "CPU seconds", "times less CPU", "median error", "in spacings")
-#: Rows of this package: a name, and words of ``l2p recover``.
+#: Rows of this package: a name, and arguments of ``l2p recover``.
 RUNS: tuple[tuple[str, list[object]], ...] = (
     ("heuristic, `--threads 1`", ["--method", "heuristic", "--rounds", ROUNDS, "--threads", 1]),
     ("heuristic, as it comes", ["--method", "heuristic", "--rounds", ROUNDS]),
@@ -48,7 +48,7 @@ RUNS: tuple[tuple[str, list[object]], ...] = (
 
 @dataclass(frozen=True)
 class Row:
-    """One run: seconds of the attack alone, CPU seconds of the whole program, median error in scene units."""
+    """Result of a run: seconds of the attack alone, CPU seconds of the whole program, median error in scene units."""
 
     name: str
     seconds: float
@@ -57,14 +57,14 @@ class Row:
 
 
 def cells(row: Row, first: Row, unit: float) -> list[str]:
-    """A row of the table, beside the first one."""
+    """Cells of a row of the table, with ratios to the first row."""
     faster, less = first.seconds / row.seconds, first.cpu / row.cpu
     seconds = [f"{row.seconds:.1f}", f"{faster:.0f}", f"{row.cpu:.1f}", f"{less:.0f}"]
     return [row.name, *seconds, f"{row.median:.4f}", f"{row.median / unit:.3f}"]
 
 
 def load(name: str, count: int) -> l2p.Scene:
-    """``count`` points of a simulated scene (sim:KIND) or of a file."""
+    """Load ``count`` points of a simulated scene (sim:KIND) or of a file."""
     if name.startswith("sim:"):
         return l2p.simulate(name.removeprefix("sim:"), points=count, seed=0)
     scene = l2p.load(name, l2p.Scene)
@@ -81,7 +81,7 @@ def run_reference(folder: Path, cloud: Path) -> Row:
     ]  # fmt: skip
     median, cpu_began = None, _children_cpu()
     began = started = time.perf_counter()
-    # A pipe for its progress bars would fill and stop it.
+    # stderr goes to a file: its progress bars would fill a pipe and block it.
     with tempfile.TemporaryFile("w+") as noise:
         process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=noise, text=True)
         for line in process.stdout or ():
@@ -104,7 +104,7 @@ def _children_cpu() -> float:
 
 
 def run_l2p(cloud: Path, name: str, words: list[object]) -> Row:
-    """An attack of this package as its command line runs it."""
+    """Run an attack of this package from its command line."""
     names = ("lines.npz", "truth.npz", "out.npz", "stats.json")
     lines, truth, out, stats = (cloud.with_name(name) for name in names)
     _command("lift", cloud, "-o", lines, "--truth", truth, "--seed", 0, "--force")
@@ -120,7 +120,7 @@ def _command(*words: object) -> None:
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--reference", type=Path, metavar="PATH", help="folder of a clone of Line2Point")
     parser.add_argument("--lines", type=int, default=5000, help="number of lines (default: %(default)s)")
@@ -129,7 +129,7 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Both programs on one cloud, and the table."""
+    """Run both programs on one cloud, and print the table."""
     given = arguments()
     if given.reference is None:
         print("skipped: Line2Point has no licence and is not part of l2p; name a clone of it with --reference PATH")

@@ -1,4 +1,4 @@
-"""Measure what an attack takes by the number of lines: seconds, memory, errors; or the same with another checkout.
+"""Measure seconds, memory and errors of an attack by the number of lines; or compare them with another checkout.
 
     python benchmarks/recover.py --lines 5000 20000 --again 3
     python benchmarks/recover.py --lines 20000 200000 --memory least --threads 1
@@ -6,15 +6,15 @@
     python benchmarks/recover.py --lines 20000 --repeat 5 --again 4 --against ../before
 
 The first prints, for each method, seconds, growth with the lines, the ratio to the first method and the errors:
-docs/performance.md has learned against tomography. The second bounds the memory (GiB, ``least``: the least that the
-method accepts, ``fast``: no bound); ``held`` is bytes per line beyond the constant part of that promise, and the exit
-code is 1 if a peak is above what was allowed. The third splits the seconds from the start of the process to the written
-file; ``surroundings`` is what no progress bar shows: local scales and planes of the estimates, the frame.
+docs/performance.md has learned against tomography. The second limits the memory (GiB, ``least``: the least that the
+method accepts, ``fast``: no limit); ``held`` is bytes per line beyond the constant part of that least, and the exit
+code is 1 if a peak is above the limit. The third splits the seconds from the start of the process to the written file;
+``surroundings`` is the part without a progress bar: local scales and planes of the estimates, the frame.
 
-The fourth runs the l2p of another folder by turns with this one and prints ratios, this over that: below 1 this one is
+The fourth alternates the l2p of another folder with this one and prints ratios, this / other: below 1, this one is
 faster or smaller. In brackets is an interval for the median of the pairs' ratios. On a busy machine, the ratios of CPU
-seconds and of the fastest runs say more. Changes that should cost nothing are compared so, to 3 %, with the commit
-before. Memory is that of the first attack of a process; seconds are those of the ``--again`` later ones.
+seconds and of the fastest runs are more reliable. Changes that should cost nothing are compared with the commit before
+in this way, to 3 %. Memory is that of the first attack of a process; seconds are those of the ``--again`` later ones.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from l2p.attacks.named import named_attack
 from l2p.attacks.settings import METHODS
 from l2p.work.memory import BASE, GIB, SMALLEST
 
-#: GiB that no attack here reaches: blocks are as large as is fast.
+#: Memory limit in GiB that no attack here reaches: blocks have their fastest size.
 UNBOUNDED = 1e3
-#: Attacks of each process after its first one, when checkouts are compared.
+#: Attacks per process after its first one, when checkouts are compared.
 AGAIN = 4
 HEADS = (
     *("method", "lines", "threads", "seconds", "ms/line", "CPU s", "over the first size", "over the first method"),
@@ -49,13 +49,13 @@ HEADS_AGAINST = (
 
 
 def promised(method: str, rounds: int | None, lines: int) -> float:
-    """GiB that a method asks for at least, from the number of lines; NaN if it does not say."""
+    """Least GiB that a method needs by its own estimate for the number of lines; NaN if it has none."""
     line_bytes = named_attack(method, rounds=rounds).line_bytes or float("nan")
     return (BASE + SMALLEST + lines * line_bytes) / GIB
 
 
 def clouds(given: argparse.Namespace, folder: Path) -> Iterator[Cloud]:
-    """The clouds that were asked for, one after the other."""
+    """Yield the given clouds, one after the other."""
     if given.file:
         yield from_file(given.file, folder)
         return
@@ -64,14 +64,14 @@ def clouds(given: argparse.Namespace, folder: Path) -> Iterator[Cloud]:
 
 
 def setting(method: str, memory: str | None, lines: int, given: argparse.Namespace) -> Setting:
-    """How a method runs under a bound of memory."""
+    """Setting of a method with a memory limit."""
     known = {None: None, "fast": UNBOUNDED, "least": promised(method, given.rounds, lines) * (1 + 1e-9)}
     allowed = known[memory] if memory in known else float(memory or 0)
     return Setting(method, given.rounds, allowed, given.threads, given.parts)
 
 
 def errors(cloud: Cloud, run: Run) -> list[str]:
-    """Cells of the median error in scene units and in spacings, and the share within one spacing."""
+    """Cells of the median error in scene units and in spacings, and of the share within 1 spacing."""
     if cloud.truth is None:
         return ["", "", ""]
     scores = l2p.evaluate(run.recovery, cloud.truth)
@@ -79,7 +79,7 @@ def errors(cloud: Cloud, run: Run) -> list[str]:
 
 
 def rows(given: argparse.Namespace, folder: Path, above: list[str]) -> Iterator[list[str]]:
-    """A row for each cloud, bound and method; those that took more memory than allowed are added to ``above``."""
+    """Yield a row for each cloud, limit and method; append runs above their memory limit to ``above``."""
     first = dict[tuple[str, str | None], float]()
     for cloud, memory in ((cloud, memory) for cloud in clouds(given, folder) for memory in given.memory):
         settings = [setting(method, memory, len(cloud.lines), given) for method in given.methods]
@@ -106,7 +106,7 @@ def seconds_cells(cloud: Cloud, taken: Taken, way: Setting) -> list[str]:
 
 
 def memory_cells(cloud: Cloud, taken: Taken, way: Setting) -> list[str]:
-    """Cells of the memory that was allowed, taken, promised and held per line."""
+    """Cells of the memory limit, the peak, the least estimate, and the bytes held per line."""
     gib, least = float(np.median(taken.gib)), promised(way.method, way.rounds, len(cloud.lines))
     held = max(0.0, (gib * GIB - BASE - SMALLEST) / len(cloud.lines))
     allowed = "" if way.memory in (None, UNBOUNDED) else f"{way.memory:.2f}"
@@ -114,7 +114,7 @@ def memory_cells(cloud: Cloud, taken: Taken, way: Setting) -> list[str]:
 
 
 def show_parts(given: argparse.Namespace, folder: Path) -> None:
-    """Print a table of seconds by part for each method, with a column a size."""
+    """Print a table of seconds by part for each method, with one column per size."""
     found: dict[str, dict[int, Run]] = {method: {} for method in given.methods}
     for cloud in clouds(given, folder):
         size = len(cloud.lines)
@@ -131,7 +131,7 @@ def show_parts(given: argparse.Namespace, folder: Path) -> None:
 
 
 def rows_against(given: argparse.Namespace, folder: Path) -> Iterator[list[str]]:
-    """A row for each cloud and method: this checkout over another, by turns."""
+    """Yield a row for each cloud and method: this checkout / another, alternating."""
     for cloud, method in ((cloud, method) for cloud in clouds(given, folder) for method in given.methods):
         own = setting(method, given.memory[0], len(cloud.lines), given)
         other = replace(own, checkout=given.against.resolve())
@@ -148,12 +148,12 @@ def compared(own: Taken, other: Taken) -> list[str]:
 
 
 def titled(given: argparse.Namespace) -> str:
-    """Scene, processes of each way, and timed attacks after the first one of each process."""
+    """Title: scene, processes per setting, and timed attacks after the first one of each process."""
     return f"{Path(given.file).name if given.file else given.kind}, --repeat {given.repeat} --again {given.again}"
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--lines", type=int, nargs="+", default=[5_000, 20_000], help="(default: %(default)s)")
     parser.add_argument("--kind", default="room", help="kind of simulated scene (default: %(default)s)")
@@ -176,7 +176,7 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> int:
-    """Measure what was asked for; 1 if an attack took more memory than it was allowed."""
+    """Run the given measurement; return 1 if an attack exceeded its memory limit."""
     given, above = arguments(), list[str]()
     with tempfile.TemporaryDirectory() as place:
         if given.against:

@@ -1,12 +1,12 @@
-"""Measure the error after each round of the learned attack, by how far estimates move on, and by how votes settle.
+"""Measure the error after each round of the learned attack, by relaxation and by number of settling steps.
 
     python benchmarks/rounds.py ../shared/scenes/train/bust_bronze.npz
 
-The answer chose the relaxation of 1.4 and the 6 settling steps: docs/experiments.md has the table.
+The relaxation of 1.4 and the 6 settling steps were chosen by it: docs/experiments.md has the table.
 
-Judges line clouds of all points, up to a number of lines, and of a tenth of these, with one checkpoint. Prints for each
-relaxation and number of settling steps (:class:`l2p.attacks.learned.learned.LearnedConfig`) the geometric mean of the
-median errors after each round, in spacings of the clouds' own points, and the mean share within 1 of them.
+Attacks line clouds of all points, up to a number of lines, and of a tenth of these, with one checkpoint. Prints for
+each relaxation and number of settling steps (:class:`l2p.attacks.learned.learned.LearnedConfig`) the geometric mean of
+the median errors after each round, in spacings of the clouds' own points, and the mean share within 1 spacing.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from l2p.attacks.learned.learned import Learned
 from train.clouds import Cloud, CloudSource, lifted, read
 from train.judging import rounds_of
 
-#: Scenes that nobody trained on.
+#: Scenes that are in no training set.
 SIMULATED = ("sim:room:8000:901", "sim:facade:8000:901", "sim:object:8000:901", "sim:terrain:8000:901")
 
 
 def clouds(scenes: list[str], lines: int, attack: Learned) -> list[Cloud]:
-    """Two of each scene."""
+    """Lift each scene twice: with all points up to ``lines``, and with a tenth of these."""
     most = {scene: min(1.0, lines / len(read(scene).xyz)) for scene in scenes}
     return [lifted(CloudSource(scene, share * part, 0), attack) for scene, part in most.items() for share in (1.0, 0.1)]
 
 
 def main() -> None:
-    """Print one row a choice."""
+    """Print one row per choice."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", default=list(SIMULATED), help="scenes, or sim:KIND:POINTS:SEED (default)")
     parser.add_argument("--relaxation", type=float, nargs="+", default=[1.0, 1.4], help="(default: %(default)s)")

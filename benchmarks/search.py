@@ -1,12 +1,12 @@
-"""Measure the search for candidates, the points nearest to each line, by the number of lines.
+"""Measure the search for candidates (the points nearest to each line) by the number of lines.
 
     python benchmarks/search.py --lines 12500 100000 800000
 
-As between rounds of the learned attack, the estimates lie about one local scale beside the points of a simulated scene,
-a share of them anywhere on their lines, and distances count in units of the square root of the local scale. Up to
+As between rounds of the learned attack, the estimates are about one local scale away from the points of a simulated
+scene, a share of them anywhere on their lines, and distances are in units of the square root of the local scale. Up to
 ``--pairs`` lines the table also has the ratio to all pairs, which must give the same distances, and to a bare matrix
-product and top-k of the same shape. docs/performance.md has what it printed: 8 times the lines should take 11 times the
-time at most.
+product and top-k of the same shape. docs/performance.md has the output: 8 times the lines should take at most 11 times
+the time.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Found = TypeVar("Found")
 
 
 def estimates(kind: str, count: int, strays: float) -> tuple[Lines, torch.Tensor, torch.Tensor]:
-    """Lines of a simulated scene, an estimate on each, and the units of distances to them."""
+    """Simulate lines of a scene, an estimate on each, and the units of distances to the estimates."""
     rng = np.random.default_rng(0)
     cloud, truth = hidden(l2p.simulate(kind, points=count, seed=0).xyz)
     frame = Frame.of(cloud)
@@ -51,14 +51,14 @@ def estimates(kind: str, count: int, strays: float) -> tuple[Lines, torch.Tensor
 
 
 def bare(count: int, k: int) -> None:
-    """One matrix product of rank 4 per tile, and ``torch.topk``."""
+    """Compute one matrix product of rank 4 per tile, and ``torch.topk``."""
     left, right = torch.randn(count, 4), torch.randn(4, count)
     for part in left.split(max(1, nearest.TILE // count)):
         torch.topk(part @ right, k, dim=1, largest=False)
 
 
 def timed(work: Callable[[], Found], repeat: int, cpu: bool) -> tuple[float, Found]:
-    """The median of the seconds, and an answer."""
+    """Return the median of the seconds, and one result."""
     clock = time.process_time if cpu else time.perf_counter
     runs = []
     for _ in range(repeat):
@@ -69,7 +69,7 @@ def timed(work: Callable[[], Found], repeat: int, cpu: bool) -> tuple[float, Fou
 
 
 def row(given: argparse.Namespace, count: int, before: dict[int, float]) -> list[str]:
-    """One row of the table."""
+    """Measure one row of the table."""
     lines, points, unit = estimates(given.kind, count, given.strays)
 
     def search() -> nearest.Nearest:
@@ -89,7 +89,7 @@ def row(given: argparse.Namespace, count: int, before: dict[int, float]) -> list
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     sizes = [12_500, 20_000, 100_000, 800_000]
     parser.add_argument("--lines", type=int, nargs="+", default=sizes, help="numbers of lines (default: %(default)s)")
@@ -106,7 +106,7 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Print one row a size."""
+    """Print one row per size."""
     given, before = arguments(), dict[int, float]()
     torch.set_num_threads(given.threads)
     nearest.nearest_points_to_lines(*estimates(given.kind, 5_000, given.strays)[:2], given.k)  # warm up

@@ -1,13 +1,13 @@
-"""Measure an attack whose lines are shared out over processes of this machine: seconds, memory, bytes on the wire.
+"""Measure an attack whose lines are divided among ranks on this machine: seconds, memory, network traffic.
 
     python benchmarks/shards.py --lines 3000 --processes 1 2 4
     python benchmarks/shards.py --lines 3000 --methods tomography --rounds 0
 
-Each row is a run of ``l2p recover --processes``, with one thread each. Memory is the largest of the processes' peaks
-beyond what such a process holds when its attack begins. Bytes on the wire are those through the loopback interface
-(/proc/net/dev) per line and process, with all protocols; other programs that use it count, too. The second command is
-the tomography alone, which docs/scaling.md needs to predict the traffic of a city. Processes that share cores share
-their time; memory and traffic do not depend on that.
+Each row is a run of ``l2p recover --processes``, with one thread per rank. Memory is the largest peak of a rank minus
+the memory of such a process when its attack begins. Traffic is bytes through the loopback interface (/proc/net/dev) per
+line and rank, in all protocols, including those of other programs. The second command runs the tomography alone, which
+docs/scaling.md needs to predict the traffic of a city. Ranks that share cores take longer; memory and traffic do not
+depend on that.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from harness import Attacker, Cloud, Setting, print_table, simulated
 from l2p.attacks.settings import METHODS
 from l2p.work.resident import PROC, peak_gib, resident_gib
 
-#: Seconds between two looks at the peaks of running processes.
+#: Seconds between two readings of the peaks of running processes.
 POLL = 0.02
 HEADS = ("method", "lines", "processes", "seconds", "MiB at the largest", "on the wire, B/line/process")
 
 
 class Shared(NamedTuple):
-    """Seconds of the attack, GiB at the peak of the largest process, bytes through the loopback interface."""
+    """Seconds of the attack, GiB at the peak of the largest rank, bytes through the loopback interface."""
 
     seconds: float
     gib: float
@@ -42,13 +42,13 @@ class Shared(NamedTuple):
 
 
 def loopback_bytes() -> int:
-    """Bytes that went through the loopback interface since the machine was started."""
+    """Bytes through the loopback interface since the machine was started."""
     interfaces = (PROC / "net" / "dev").read_text(encoding="ascii").splitlines()
     return next(int(line.split()[9]) for line in interfaces if line.strip().startswith("lo:"))
 
 
 def family(process: int) -> list[int]:
-    """A process and those that it has started."""
+    """List a process and its children."""
     try:
         children = (PROC / str(process) / "task" / str(process) / "children").read_text(encoding="ascii").split()
     except OSError:
@@ -63,7 +63,7 @@ def idle_gib(cloud: Cloud) -> float:
 
 
 def shared(cloud: Cloud, method: str, processes: int, rounds: int | None) -> Shared:
-    """Run ``l2p recover`` in so many processes, and look at all of them until it ends."""
+    """Run ``l2p recover`` on ``processes`` ranks, and read the peaks of all until it ends."""
     out, facts = f"{cloud.path}.out.npz", Path(f"{cloud.path}.json")
     words = ["recover", f"{cloud.path}.npz", "-o", out, "--json", facts, "--force", "--method", method, "--threads", 1]
     words += ["--processes", processes, *(() if rounds is None else ("--rounds", rounds))]
@@ -78,7 +78,7 @@ def shared(cloud: Cloud, method: str, processes: int, rounds: int | None) -> Sha
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--lines", type=int, nargs="+", default=[3000], help="numbers of lines (default: %(default)s)")
     parser.add_argument("--processes", type=int, nargs="+", default=[1, 2, 4], help="numbers (default: %(default)s)")
@@ -89,7 +89,7 @@ def arguments() -> argparse.Namespace:
 
 
 def rows(given: argparse.Namespace, folder: Path) -> Iterator[list[str]]:
-    """A row for each number of lines, method and number of processes."""
+    """Yield a row for each number of lines, method and number of ranks."""
     for count in given.lines:
         cloud = simulated(given.kind, count, folder)
         idle = idle_gib(cloud)

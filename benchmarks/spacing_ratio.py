@@ -1,10 +1,10 @@
-"""Measure how the spacing of a map depends on the share of its points, on which `l2p recover --density` rests.
+"""Measure how the spacing of a map depends on the fraction of its points, the basis of `l2p recover --density`.
 
     python benchmarks/spacing_ratio.py ../shared/scenes/train
 
-A spacing is the median distance to the 50th neighbour. Prints, for each share, the mean and the standard deviation over
-the scenes of the logarithm of (spacing of the map / spacing of the share), the dimension that follows from each, and
-the mean and deviation of (ratio that l2p assumes / measured ratio). The answer is the dimension 1.9 of
+Spacing is the median distance to the 50th neighbour. Prints, for each fraction, the mean and the standard deviation
+over the scenes of the logarithm of (spacing of the map / spacing of the fraction), the dimension that follows from
+each, and the mean and deviation of (ratio assumed by l2p / measured ratio). The result is the dimension 1.9 of
 :func:`l2p.attacks.learned.learned.spacing_ratio`.
 """
 
@@ -21,12 +21,12 @@ from l2p.programs.scenes import scene_at, scenes_of
 
 SHARES = (0.5, 0.25, 0.1, 0.05)
 HEADS = ("share of the points", "scenes", "log ratio", "deviation", "dimension", "assumed / measured", "deviation")
-#: Scenes larger than this take too long, and shares smaller than this have no 50 neighbours.
+#: Most points of a scene, to save time, and least points of a fraction, to have 50 neighbours.
 MOST, LEAST = 40_000, 100
 
 
 def main() -> None:
-    """Thin each scene once to each share."""
+    """Thin each scene once to each fraction, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="+", help="scenes, or folders of them")
     given = parser.parse_args()

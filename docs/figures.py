@@ -1,6 +1,6 @@
 """Draw the pictures of docs/how-it-works.md from one simulated room: python docs/figures.py
 
-Names of pictures draw these alone: python docs/figures.py affinities rounds
+To draw some pictures only, give their names: python docs/figures.py affinities rounds
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ GREY, BLUE, ORANGE, GREEN, RED = "#b8bec9", "#2563eb", "#ea7317", "#15803d", "#c
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """A simulated room and its line cloud; ``inside``, ``points`` and ``unit``, a spacing, are in the working frame."""
+    """Simulated room and its line cloud; ``inside``, ``points`` and ``unit`` (a spacing) are in the working frame."""
 
     scene: l2p.Scene
     lines: l2p.LineCloud
@@ -75,7 +75,7 @@ def save(figure: Any, name: str) -> None:
 
 
 def segments(room: Room, half: float) -> Float[np.ndarray, "lines 2 3"]:
-    """Each line, ``half`` scene units to both sides of the place nearest to the middle of the room."""
+    """Segment of each line, ``half`` scene units to both sides of its point nearest to the middle of the room."""
     middle = np.median(room.truth, axis=0)
     beta = np.sum((middle - room.lines.origin) * room.lines.direction, axis=1)
     ends = [room.lines.at(beta + side * half) for side in (-1, 1)]
@@ -83,7 +83,7 @@ def segments(room: Room, half: float) -> Float[np.ndarray, "lines 2 3"]:
 
 
 def draw_lifting(room: Room) -> None:
-    """Points, points with their lines, lines: seen from above."""
+    """Draw points, points with their lines, and lines, from above."""
     figure, panels = plt.subplots(1, 3, figsize=(13, 4.6), constrained_layout=True)
     some = np.random.default_rng(0).choice(len(room.truth), 500, replace=False)
     ends = segments(room, 20.0)[some][:, :, :2]
@@ -100,7 +100,7 @@ def draw_lifting(room: Room) -> None:
 
 
 def typical_line(room: Room, neighbors: Int[torch.Tensor, "lines k"]) -> int:
-    """A line whose peak is right and of middling sharpness."""
+    """Choose a line whose peak is right and of median sharpness."""
     votes = closest_points(room.inside, room.inside, neighbors)
     beta = find_peak(votes.beta, votes.valid.float())
     off = (room.inside.at(beta) - room.points).norm(dim=1) / room.unit
@@ -110,7 +110,7 @@ def typical_line(room: Room, neighbors: Int[torch.Tensor, "lines k"]) -> int:
 
 
 def intervals(votes: Float[np.ndarray, " votes"]) -> list[tuple[float, float]]:
-    """x- and x+ of each step of the recursion: the main text's rule, in the open."""
+    """Compute x- and x+ of each step of the recursion, by the rule of the paper's main text."""
     found = []
     while len(votes) > 5:
         uniform = (votes - votes[0]) / (votes[-1] - votes[0])
@@ -126,7 +126,7 @@ def intervals(votes: Float[np.ndarray, " votes"]) -> list[tuple[float, float]]:
 
 
 def draw_votes(room: Room) -> None:
-    """The nearest lines cross one line; where they do, they vote; the votes' distribution has a peak."""
+    """Draw the nearest lines, their votes where they pass closest to one line, and the peak of the votes."""
     neighbors = nearest_lines_to_lines(room.inside, K).index
     row = typical_line(room, neighbors)
     own = room.inside.rows(slice(row, row + 1))
@@ -155,7 +155,7 @@ def draw_votes(room: Room) -> None:
 
 
 def _crossings(panel: Any, room: Room, row: int, others: Int[torch.Tensor, " k"], true: float) -> None:
-    """Side view of the line with the nearest others."""
+    """Draw a side view of the line with the nearest others."""
     own = room.inside.rows(slice(row, row + 1))
     along = own.direction[0]
     across = torch.linalg.cross(along, torch.tensor([0.0, 0.0, 1.0]))
@@ -178,7 +178,7 @@ def _crossings(panel: Any, room: Room, row: int, others: Int[torch.Tensor, " k"]
 
 
 def _distribution(panel: Any, votes: Float[np.ndarray, " votes"], step: tuple[float, float], title: str) -> None:
-    """Empirical against uniform, and where they differ most."""
+    """Draw the empirical distribution against the uniform one, and the interval where they differ most."""
     panel.step(votes, np.arange(1, len(votes) + 1) / len(votes), where="post", color=BLUE, label="votes, F")
     panel.plot([votes[0], votes[-1]], [0, 1], color="black", lw=1, label="uniform, U")
     for place, name in zip(step, ("x−", "x+"), strict=True):
@@ -189,7 +189,7 @@ def _distribution(panel: Any, votes: Float[np.ndarray, " votes"], step: tuple[fl
 
 
 def draw_neighborhoods(room: Room) -> None:
-    """N_ll and N_pl seen along the line, N_lp seen from the side."""
+    """Draw N_ll and N_pl along the line, N_lp from the side."""
     estimate = run(room.lines, Heuristic())
     points = room.frame.enter_points(estimate.xyz)
     right = errors(estimate.xyz, room.truth) / spacing(room.scene.xyz)
@@ -228,7 +228,7 @@ def draw_neighborhoods(room: Room) -> None:
 def _flat_lines(
     room: Room, center: Float[torch.Tensor, "3"], axes: Float[torch.Tensor, "3 3"]
 ) -> Float[np.ndarray, "lines 2 3"]:
-    """Segments around the places nearest to ``center``, in the axes of a view."""
+    """Segments of the lines around their points nearest to ``center``, in the axes of a view."""
     apart = center - room.inside.foot
     beta = (apart * room.inside.direction).sum(dim=1)
     ends = [room.inside.at(beta + side * 100 * room.unit) - center for side in (-1, 1)]
@@ -236,7 +236,7 @@ def _flat_lines(
 
 
 def draw_tomography(room: Room) -> None:
-    """The room from above: what the lines cover, what tomography makes of it, what is there."""
+    """Draw the room from above: the coverage of the lines, the result of the tomography, and the truth."""
     posterior = reconstruct(room.inside)
     beta, weight = posterior.beta, posterior.probability
     upright = torch.as_tensor(room.frame.axes.T, dtype=beta.dtype)  # from the axes of the lines to those of the room
@@ -262,7 +262,7 @@ def draw_tomography(room: Room) -> None:
 
 @cache
 def learned(room: Room, rounds: int | None) -> l2p.Recovery:
-    """What the shipped attack finds in so many rounds; None: all that it has."""
+    """Recover with the shipped checkpoint in ``rounds`` rounds; None: all of its rounds."""
     return l2p.recover(room.lines, rounds=rounds)
 
 
@@ -272,8 +272,7 @@ def spacings_off(room: Room, recovery: l2p.Recovery) -> Float[np.ndarray, " line
 
 
 def draw_affinities(room: Room) -> None:
-    """One line that the first round puts right: its candidates, and where they vote once each counts by its
-    affinity."""
+    """Draw one line that the first round corrects: its candidates, and their votes weighted by affinity."""
     before, after = learned(room, 0), learned(room, 1)
     assert after.neighbors is not None and after.affinity is not None
     lines, unit = room.lines, spacing(room.scene.xyz)
@@ -287,7 +286,7 @@ def draw_affinities(room: Room) -> None:
     weight = np.where(after.neighbors < 0, 0, after.affinity)
     near = np.abs(foot - true[:, None]) <= 1
     gain = (weight * near).sum(axis=1) / weight.sum(axis=1) - near.mean(axis=1)
-    # Of the lines that were put right, one that shows well why.
+    # One of the corrected lines, with a large gain by affinity (90 % quantile).
     moved = np.flatnonzero((np.abs(first - true) > 3) & (np.abs(first - true) < 10) & (np.abs(answer - true) < 0.25))
     row = int(moved[np.argsort(gain[moved])[int(0.9 * len(moved))]])
     place, share = foot[row], weight[row] / weight[row].sum()
@@ -314,7 +313,7 @@ def draw_affinities(room: Room) -> None:
 
 
 def draw_rounds(room: Room) -> None:
-    """The room from above after no, one and all rounds, and as it is."""
+    """Draw the room from above after no, one and all rounds, and the truth."""
     figure, panels = plt.subplots(1, 4, figsize=(16, 4.4), constrained_layout=True)
     last = learned(room, None)
     rounds = last.info["settings"]["rounds"]
@@ -339,7 +338,7 @@ def draw_rounds(room: Room) -> None:
 
 
 def draw_bounds(room: Room) -> None:
-    """Errors of the attacks and of what bounds them; what the confidence is worth."""
+    """Draw the errors of the attacks and of their bounds, and the quality of the confidence."""
     methods = {
         "heuristic (paper)": (Heuristic(), BLUE, "-"),
         "tomography": (Tomography(), ORANGE, "-"),

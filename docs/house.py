@@ -1,6 +1,6 @@
-"""The order of the rooms of l2p, and the drawing of it in docs/architecture.md: python docs/house.py
+"""Order of the rooms of l2p, and its drawing in docs/architecture.md: python docs/house.py
 
-``tests/test_package.py`` holds the imports of the package against the same order.
+``tests/test_package.py`` checks the imports of the package against the same order.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 PAGE = Path(__file__).parent / "architecture.md"
 BEGIN, END = "<!-- house -->", "<!-- /house -->"
 
-#: The floors, highest first. A room may import from the floors below it, never from its own floor or above.
+#: Floors, highest first. A room may import from lower floors, never from its own floor or above.
 FLOORS: tuple[dict[str, str], ...] = (
     {"cli": "the command l2p"},
     {"auditing": "the audit and its report", "programs": "what train and eval share"},
@@ -26,7 +26,7 @@ FLOORS: tuple[dict[str, str], ...] = (
 
 
 def drawing() -> str:
-    """The floors as text, each box as wide as the house."""
+    """Draw the floors as text, each box as wide as the house."""
     width = 72
     rule = "─" * width
     rows = [f"┌{' l2p '.center(width, '─')}┐"]
@@ -46,7 +46,7 @@ def drawing() -> str:
 
 
 def drawn(text: str) -> str:
-    """The page with the drawing in its place."""
+    """Insert the drawing in its place in the page."""
     begin, end = text.index(BEGIN) + len(BEGIN), text.index(END)
     return f"{text[:begin]}\n\n```text\n{drawing()}\n```\n\n{text[end:]}"
 

@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: pages of the site that live outside docs/, and a look at what pages load."""
+"""Hooks of mkdocs: add pages from outside docs/, and refuse pages that load from the network."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
 
-#: Files of the repository that are pages, and what the site calls them.
+#: Files of the repository that become pages, and their names in the site.
 PAGES = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
     "l2p/weights/README.md": "checkpoint.md",
 }
-#: A relative link of Markdown, without its anchor.
+#: Relative link in Markdown, without its anchor.
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)#\s]+)")
-#: A role that docstrings give to a name for Sphinx; mkdocs shows it.
+#: Sphinx role of a name in a docstring, which mkdocs would show.
 ROLE = re.compile(r":(?:func|class|mod|meth|attr):(?=<code>)")
-#: What a page loads from elsewhere.
+#: Script, image, frame or stylesheet that a page loads from the network.
 LOADED = re.compile(r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"(?:https?:)?//|<link\b[^>]*stylesheet[^>]*\"https?:")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages from outside, and the files that they and the others link to."""
+    """Add the pages from outside docs/, and the files that any page links to."""
     for source, target in PAGES.items():
         files.append(File.generated(config, target, content=(ROOT / source).read_text(encoding="utf-8")))
     for file in [*files.documentation_pages()]:
@@ -56,7 +56,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Names in docstrings without their roles."""
+    """Remove Sphinx roles from names in docstrings."""
     del page, config, files
     return ROLE.sub("", html)
 
@@ -71,10 +71,10 @@ def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
 
 
 def _place(src_uri: str) -> str:
-    """Where a page of the site is in the repository."""
+    """Path in the repository of a page of the site."""
     return next((source for source, target in PAGES.items() if target == src_uri), f"docs/{src_uri}")
 
 
 def _in_site(path: str) -> str:
-    """Where a file of the repository is in the site."""
+    """Path in the site of a file of the repository."""
     return PAGES.get(path, path.removeprefix("docs/") if path.startswith("docs/") else f"files/{path}")

@@ -1,10 +1,10 @@
-"""Write docs/simulator.md: geometry and attack errors of simulated scenes beside those of real SfM models.
+"""Write docs/simulator.md: compare geometry and attack errors of simulated scenes with those of real SfM models.
 
     python docs/simulator_realism.py --scenes ../shared/scenes --out docs/simulator.md
 
 Real scenes are read from the folders ``val`` and ``train`` of ``--scenes`` (npz with ``xyz``). The simulator was tuned
-on ``train`` only. Of every scene some points are written to the folder of the run, where ``python -m eval`` attacks
-them; a run that was stopped goes on. Figures of every scene are written to ``<out>.csv`` beside the table.
+on ``train`` only. Some points of every scene are written to the folder of the run, where ``python -m eval`` attacks
+them; a stopped run is continued. Figures of every scene are written to ``<out>.csv`` beside the table.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ was tuned on `train` only. Each scene is thinned to at most {{POINTS}} random po
 Simulated scenes of one kind are more alike than real ones; failed poses, drift and rolling shutter are not simulated.
 """
 
-#: Real scenes of the table and the simulated kind that each is compared with.
+#: Real scenes of the table, by the simulated kind with which they are compared.
 REAL = {
     "room": (
         "val/office_lounge", "val/livingroom_statue", "val/room_chair", "val/lockers_room", "val/church_interior",
@@ -84,7 +84,7 @@ REAL = {
 
 @dataclass(frozen=True)
 class Column:
-    """A measure: its key, its heading and how it is printed."""
+    """Measure: key, heading and printing function."""
 
     key: str
     heading: str
@@ -111,7 +111,7 @@ ATTACK = (
 
 
 def geometry(points: Float[np.ndarray, "points 3"]) -> dict[str, float]:
-    """Measures of the cloud alone; the diagonal is that of the 1 to 99 % percentiles."""
+    """Measure the cloud alone; the diagonal is that of the box from the 1 % to the 99 % percentiles."""
     from scipy.spatial import KDTree
 
     diagonal = float(np.linalg.norm(np.subtract(*np.percentile(points, [99, 1], axis=0))))
@@ -130,7 +130,7 @@ def geometry(points: Float[np.ndarray, "points 3"]) -> dict[str, float]:
 
 
 def simulated_rows(points: int, seeds: int, folder: Path) -> Iterator[dict]:
-    """One row of geometry for each simulated scene."""
+    """Yield one row of geometry for each simulated scene."""
     for kind in KINDS:
         for seed in range(seeds):
             xyz = l2p.simulate(kind, points=points, seed=seed).xyz
@@ -138,7 +138,7 @@ def simulated_rows(points: int, seeds: int, folder: Path) -> Iterator[dict]:
 
 
 def real_rows(scenes: Path, points: int, folder: Path) -> Iterator[dict]:
-    """One row of geometry for each real scene that is there."""
+    """Yield one row of geometry for each real scene that exists."""
     for kind, names in REAL.items():
         for name in names:
             path = scenes / f"{name}.npz"
@@ -149,14 +149,14 @@ def real_rows(scenes: Path, points: int, folder: Path) -> Iterator[dict]:
 
 
 def row(kind: str, source: str, name: str, xyz: Float[np.ndarray, "points 3"], points: int, file: Path) -> dict:
-    """The geometry of a random subset of at most ``points`` points of a scene, which is saved."""
+    """Save a random subset of at most ``points`` points of a scene; return a row of its geometry."""
     chosen = xyz[np.random.default_rng(0).permutation(len(xyz))[:points]]
     np.savez(file, xyz=chosen)
     return {"kind": kind, "source": source, "name": name, "N": len(xyz), **geometry(chosen), "file": file.stem}
 
 
 def with_attacks(rows: list[dict], folder: Path) -> list[dict]:
-    """The rows with errors of the heuristic, oracle(50) and the LOO bound, from one run of the evaluation."""
+    """Add to the rows the errors of the heuristic, oracle(50) and the LOO bound, from one run of the evaluation."""
     run = folder.parent / "eval"
     methods = ",".join(f"{{{words}, label: {name}}}" for name, words in METHODS.items())
     keys = [f"scenes=[{folder}]", f"methods=[{methods}]", "fractions=[1.0]", "seeds=[0]", "threads=1", f"run={run}"]
@@ -170,7 +170,7 @@ def with_attacks(rows: list[dict], folder: Path) -> list[dict]:
 
 
 def kept_rows(path: Path) -> list[dict]:
-    """The rows of real scenes that an earlier run wrote to ``path``."""
+    """Read the rows of real scenes that an earlier run wrote to ``path``."""
     with path.open(newline="") as file:
         rows = [r for r in csv.DictReader(file) if r["source"] != "simulated"]
     text = ("kind", "source", "name")
@@ -191,13 +191,13 @@ def spans(rows: list[dict], columns: tuple[Column, ...]) -> list[str]:
 
 
 def table(head: list[str], body: list[list[str]]) -> str:
-    """A Markdown table."""
+    """Format a Markdown table."""
     lines = [head, ["---"] * len(head), *body]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def range_tables(rows: list[dict]) -> str:
-    """Ranges by kind, real above simulated, for geometry and attack."""
+    """Format ranges by kind, real above simulated, for geometry and attack."""
     parts = []
     for title, columns in (("Geometry", GEOMETRY), ("Attack, errors in spacings", ATTACK)):
         body = []
@@ -213,7 +213,7 @@ def range_tables(rows: list[dict]) -> str:
 
 
 def outside(rows: list[dict]) -> str:
-    """A list of the figures outside the range of the real scenes of their kind."""
+    """List the figures outside the range of the real scenes of their kind."""
     real, simulated = ([r for r in rows if (r["source"] == "simulated") == own] for own in (False, True))
     lines, count = [], 0
     for kind in KINDS:
@@ -238,7 +238,7 @@ def outside(rows: list[dict]) -> str:
 
 
 def document(rows: list[dict], command: str, points: int) -> str:
-    """The whole of docs/simulator.md."""
+    """Render docs/simulator.md."""
     text = TEXT
     fill = {
         "COMMAND": command, "POINTS": f"{points:,}".replace(",", " "), "RANGES": range_tables(rows),
@@ -250,7 +250,7 @@ def document(rows: list[dict], command: str, points: int) -> str:
 
 
 def picture(path: Path, points: int) -> None:
-    """One simulated scene of each kind: from above, from the side and the dense middle."""
+    """Draw one simulated scene of each kind: from above, from the side, and its dense middle."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -273,7 +273,7 @@ def picture(path: Path, points: int) -> None:
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--scenes", type=Path, default=Path("../shared/scenes"), help="real scenes (default: %(default)s)"

@@ -1,4 +1,4 @@
-"""``python -m eval``: hydra composes the config, its types are checked, the cells are run."""
+"""Entry point of ``python -m eval``: hydra composes the config, its types are checked, the cells are run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from l2p.programs.launch import explained, launch
 
 @hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name="eval")
 def main(config: DictConfig) -> None:
-    """Run what the config asks for; exit code 2 is a user's error, 1 cells that failed, 130 Ctrl-C."""
+    """Run the steps of the config; exit code 2 for a user's error, 1 if cells failed, 130 after Ctrl-C."""
     command = shlex.join(["python", "-m", "eval", *HydraConfig.get().overrides.task])
     try:
         with explained("eval"):

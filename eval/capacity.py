@@ -7,8 +7,8 @@ from collections.abc import Iterable
 
 from l2p.work.memory import free_bytes
 
-#: Memory of a process with torch loaded, and memory per line of its cell, both GiB: above that of every method of l2p
-#: (``line_bytes``: 5 to 9 KiB).
+#: GiB per process with torch loaded, and GiB per line of its cell: more than any method of l2p needs (``line_bytes``:
+#: 5 to 9 KiB).
 PROCESS_GIB = 0.5
 LINE_GIB = 20 / 2**20
 
@@ -31,7 +31,7 @@ def fitting(lines: Iterable[float], most: int) -> int:
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -1,4 +1,4 @@
-"""One cell of a run: a line cloud and a method. Its prediction is written with a record of what made it."""
+"""Cells of a run: a line cloud and a method each. A prediction is written with a record of its provenance."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from l2p.work.resident import measured_peak
 
 @dataclass(frozen=True)
 class Cell:
-    """One scene, fraction, seed and method."""
+    """Cell of one scene, fraction, seed and method."""
 
     scene: SceneSource
     fraction: float
@@ -50,19 +50,19 @@ class Cell:
         return f"{self.cloud_key}_{re.sub('[^a-z0-9]+', '-', self.contender.label.lower()).strip('-')}"
 
     def trial(self) -> Trial:
-        """The line cloud, and the truth for references."""
+        """Line cloud, and the truth for references."""
         hidden = self.hidden()
         points = hidden.truth.xyz
         return Trial(self.cloud_key, hidden.map, points, self.scene.kind, self.fraction, self.seed, self.device)
 
     def hidden(self) -> Hiding:
-        """The line cloud and the truth, with the spacing of the whole scene."""
+        """Line cloud and truth, with the spacing of the whole scene."""
         scene = load(self.scene.source)
         hidden = hide(scene.xyz, self.seed, self.fraction)
         return replace(hidden, truth=replace(hidden.truth, spacing=scene.spacing))
 
     def identity(self) -> dict[str, Any]:
-        """All that the prediction depends on, but for the code."""
+        """Return all inputs of the prediction except the code."""
         return {
             "scene": self.scene.name,
             "points": load(self.scene.source).digest,
@@ -76,26 +76,26 @@ class Cell:
 
 @dataclass(frozen=True)
 class Store:
-    """The folder of a run: ``predictions/KEY.npz`` with ``KEY.json``, its record; ``scores/KEY.json``."""
+    """Folder of a run: ``predictions/KEY.npz`` with ``KEY.json``, its record; ``scores/KEY.json``."""
 
     folder: Path
 
     @cached_property
     def predictions(self) -> Path:
-        """The folder of predictions."""
+        """Folder of predictions."""
         return _made(self.folder / "predictions")
 
     @cached_property
     def scores(self) -> Path:
-        """The folder of scores."""
+        """Folder of scores."""
         return _made(self.folder / "scores")
 
     def prediction(self, cell: Cell) -> Path:
-        """The recovery; once it is there, the cell is predicted."""
+        """Path of the recovery; if it exists, the cell is predicted."""
         return self.predictions / f"{cell.key}.npz"
 
     def record(self, cell: Cell) -> Path:
-        """What made the prediction."""
+        """Path of the record of the prediction."""
         return self.predictions / f"{cell.key}.json"
 
     def done(self, cell: Cell) -> bool:
@@ -104,12 +104,12 @@ class Store:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other runs from predicting here, and take away what one that was killed left behind half-written.
+        """Lock the folder against other runs, and remove unfinished files of a killed run.
 
         Raises
         ------
         InputError
-            If another run predicts here.
+            If another run has locked it.
         """
         with open(self.folder / "lock", "w", encoding="ascii") as lock:
             try:
@@ -130,7 +130,7 @@ class Store:
             left.unlink(missing_ok=True)
 
     def check(self, cells: Sequence[Cell]) -> None:
-        """Refuse to mix: every prediction that is there must have been made with the settings of its cell."""
+        """Refuse to mix runs: existing predictions must have been made with the settings of their cells."""
         for cell in cells:
             if not self.done(cell):
                 continue
@@ -144,7 +144,7 @@ class Store:
 
 
 def cells_of(settings: Settings, scenes: Sequence[SceneSource]) -> list[Cell]:
-    """All cells, the first fraction of every scene first.
+    """List all cells, beginning with the first fraction of every scene.
 
     Raises
     ------
@@ -205,14 +205,14 @@ def read_json(path: Path) -> Any:
 
 
 def _compact(recovery: Recovery) -> Recovery:
-    """Neighbours fill most of a prediction: half the bytes do."""
+    """Store neighbours in 32 bits: they fill most of a prediction."""
     if recovery.neighbors is None:
         return recovery
     return replace(recovery, neighbors=recovery.neighbors.astype(np.int32))
 
 
 def _plain(content: Any) -> Any:
-    """As it comes back from JSON."""
+    """Convert content to the form that JSON returns."""
     return json.loads(json.dumps(content))
 
 

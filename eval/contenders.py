@@ -1,7 +1,7 @@
-"""The methods that can be compared, by name: each a dataclass of its parameters that recovers a trial's points.
+"""Methods that can be compared, by name: each a dataclass of its parameters that recovers a trial's points.
 
-To add one, write a dataclass with ``label`` and ``recover`` (or, for a peer of the heuristic, ``build``) and enter it
-in ``CONTENDERS``. A user's own needs no entry: ``{name: call, path: package.module:callable}``.
+To add one, write a dataclass with ``label`` and ``recover`` (or, if it returns an ``Attack``, ``build``) and list it in
+``CONTENDERS``. A user's own method needs no entry: ``{name: call, path: package.module:callable}``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from l2p.programs.scenes import PAPER_KIND
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One line cloud to attack. Only references may look at ``truth``, (lines, 3) in the order of the lines."""
+    """Line cloud to attack. Only references may use ``truth``, (lines, 3) in the order of the lines."""
 
     key: str
     lines: LineCloud
@@ -47,20 +47,20 @@ class Trial:
 
 @runtime_checkable
 class Contender(Protocol):
-    """A method with its parameters."""
+    """Method with its parameters."""
 
-    #: Whether it is a reference that looks at the truth, and no attack.
+    #: Whether it is a reference, which uses the truth, rather than an attack.
     knows_truth: ClassVar[bool]
-    #: Whether the time that ``recover`` takes is that of the method.
+    #: Whether the duration of ``recover`` is the running time of the method.
     timed: ClassVar[bool]
 
     @property
     def label(self) -> str:
-        """What tables call it; unique in a run."""
+        """Name in tables; unique in a run."""
         ...
 
     def files(self, cloud: str) -> dict[str, str]:
-        """Digests of the files that it reads for a line cloud of that name: a prediction depends on them, too."""
+        """Return digests of the files read for the line cloud of that name: the prediction depends on them, too."""
         ...
 
     def recover(self, trial: Trial) -> Recovery:
@@ -70,18 +70,18 @@ class Contender(Protocol):
 
 @dataclass(frozen=True)
 class Peer:
-    """A method that is built for a trial and run by ``l2p.recover.run``."""
+    """Method that is built for a trial and run by ``l2p.recover.run``."""
 
     label: str = ""
     knows_truth: ClassVar[bool] = False
     timed: ClassVar[bool] = True
 
     def build(self, trial: Trial) -> Attack:
-        """The method for this trial."""
+        """Build the method for this trial."""
         raise NotImplementedError
 
     def files(self, cloud: str) -> dict[str, str]:
-        """None."""
+        """Return no digests: it reads no files."""
         return {}
 
     def recover(self, trial: Trial) -> Recovery:
@@ -91,9 +91,9 @@ class Peer:
 
 @dataclass(frozen=True)
 class AttackContender(Peer):
-    """An attack by its name, or a user's own by ``package.module:Attack``.
+    """Attack by its name, or a user's own by ``package.module:Attack``.
 
-    Attacks of l2p know the fraction and the kind of scene, unless ``settings`` say otherwise.
+    Attacks of l2p get the true fraction and kind of scene, unless ``settings`` has other values.
     """
 
     name: str = ""
@@ -104,14 +104,14 @@ class AttackContender(Peer):
         named_attack(self.name, **self.settings)  # refused before any work
 
     def build(self, trial: Trial) -> Attack:
-        """The attack for this trial."""
+        """Build the attack for this trial."""
         known = {"fraction": trial.fraction, "scene_kind": PAPER_KIND[trial.kind]}
         names = ATTACKS[self.name].names if self.name in ATTACKS else ()
         own = {name: value for name, value in known.items() if name in names}
         return named_attack(self.name, **{**own, **self.settings})
 
     def files(self, cloud: str) -> dict[str, str]:
-        """The checkpoint's digest."""
+        """Return the digest of the checkpoint."""
         if "checkpoint" not in (ATTACKS[self.name].names if self.name in ATTACKS else ()):
             return {}
         return {"digest": checkpoint.digest(self.settings.get("checkpoint") or checkpoint.shipped())}
@@ -119,7 +119,7 @@ class AttackContender(Peer):
 
 @dataclass(frozen=True)
 class OracleContender(Peer):
-    """True neighbours, a share of them replaced by random lines."""
+    """Oracle with the true neighbours, a share of them replaced by random lines."""
 
     label: str = ""
     k: int = 50
@@ -131,13 +131,13 @@ class OracleContender(Peer):
         _default_label(self, f"oracle {self.k}{wrong}")
 
     def build(self, trial: Trial) -> Attack:
-        """The oracle; its outliers follow from the seed of the lifting."""
+        """Build the oracle; its outliers follow from the seed of the lifting."""
         return Oracle(trial.truth, self.k, self.outliers, trial.seed)
 
 
 @dataclass(frozen=True)
 class CandidateOracleContender(Peer):
-    """The true neighbours among the candidates of an attack, by default of the heuristic."""
+    """Oracle with the true neighbours among the candidates of an attack, by default of the heuristic."""
 
     label: str = ""
     k: int = 50
@@ -149,11 +149,11 @@ class CandidateOracleContender(Peer):
         _default_label(self, f"candidate oracle {self.k}")
 
     def build(self, trial: Trial) -> Attack:
-        """The oracle on the candidates of the attack."""
+        """Build the oracle on the candidates of the attack."""
         return CandidateOracle(trial.truth, self._peer().build(trial), self.k, self.candidates)
 
     def files(self, cloud: str) -> dict[str, str]:
-        """Those of the attack."""
+        """Return the digests of the attack."""
         return self._peer().files(cloud)
 
     def _peer(self) -> Peer:
@@ -165,20 +165,20 @@ class CandidateOracleContender(Peer):
 
 @dataclass(frozen=True)
 class LeaveOneOutContender(Peer):
-    """Every other point known."""
+    """Leave-one-out bound: all other points are known."""
 
     label: str = "LOO"
     k: int = 128
     knows_truth: ClassVar[bool] = True
 
     def build(self, trial: Trial) -> Attack:
-        """The bound for these points."""
+        """Build the bound for these points."""
         return LeaveOneOut(trial.truth, self.k)
 
 
 @dataclass(frozen=True)
 class UserAttackContender(AttackContender):
-    """A user's own :class:`l2p.attacks.attack.Attack` at ``path``, ``package.module:Attack``, with its ``settings``."""
+    """User's :class:`l2p.attacks.attack.Attack` at ``path``, ``package.module:Attack``, with its ``settings``."""
 
     path: str = MISSING
 
@@ -189,9 +189,9 @@ class UserAttackContender(AttackContender):
 
 @dataclass(frozen=True)
 class CallContender:
-    """A user's own: a callable that takes a LineCloud and ``arguments`` and returns points (lines, 3) or a Recovery.
+    """User's callable that takes a LineCloud and ``arguments`` and returns points (lines, 3) or a Recovery.
 
-    ``calibrated`` says whether the confidence is a probability; None leaves what the Recovery says.
+    ``calibrated``: whether the confidence is a probability; None to use the value in the Recovery.
     """
 
     path: str
@@ -206,21 +206,21 @@ class CallContender:
         imported(self.path)
 
     def recover(self, trial: Trial) -> Recovery:
-        """Call it with the lines alone."""
+        """Call it with the lines and ``arguments``, without the truth."""
         answer = imported(self.path)(trial.lines, **self.arguments)
         return as_recovery(answer, trial.lines, self.path, self.calibrated)
 
     def files(self, cloud: str) -> dict[str, str]:
-        """None: like that of l2p, its code may change between cells."""
+        """Return no digests: its code may change between cells, as that of l2p may."""
         return {}
 
 
 @dataclass(frozen=True)
 class FolderContender:
-    """Recoveries, or bare points in the order of the lines, made elsewhere: ``FOLDER/SCENE_PERCENT_SEED.npz`` of lines
-    by ``l2p lift --fraction F --seed S``.
+    """Recoveries, or bare points in the order of the lines, by other programs: ``FOLDER/SCENE_PERCENT_SEED.npz`` for
+    the lines of ``l2p lift --fraction F --seed S``.
 
-    ``calibrated`` says whether the confidence is a probability; None leaves what the files say.
+    ``calibrated``: whether the confidence is a probability; None to use the value in the files.
     """
 
     path: str
@@ -233,14 +233,14 @@ class FolderContender:
         _default_label(self, Path(self.path).name)
 
     def recover(self, trial: Trial) -> Recovery:
-        """Read it; of a file with nothing but points, these, all with the same confidence."""
+        """Read the recovery; bare points all get the same confidence."""
         file = self._file(trial.key)
         bare = kind_of(file) is Kind.SCENE_NPZ
         answer = load_scene(file).xyz if bare else load_recovery(file)
         return as_recovery(answer, trial.lines, str(file), self.calibrated)
 
     def files(self, cloud: str) -> dict[str, str]:
-        """The recovery's digest."""
+        """Return the digest of the recovery."""
         file = self._file(cloud)
         return {"digest": hashlib.sha256(file.read_bytes()).hexdigest()[:12] if file.is_file() else "no file"}
 
@@ -248,7 +248,7 @@ class FolderContender:
         return Path(self.path) / f"{cloud}.npz"
 
 
-#: Every method that a config may name, besides the attacks of l2p.
+#: Every method that a config may name, in addition to the attacks of l2p.
 CONTENDERS: dict[str, type[Any]] = {
     "oracle": OracleContender,
     "candidate_oracle": CandidateOracleContender,
@@ -260,7 +260,7 @@ CONTENDERS: dict[str, type[Any]] = {
 
 
 def contenders_of(entries: list[dict[str, Any]]) -> tuple[Contender, ...]:
-    """The methods of a config, whose labels must differ."""
+    """Build the methods of a config, whose labels must differ."""
     contenders = tuple(contender_of(entry) for entry in entries)
     labels = [contender.label for contender in contenders]
     for label in labels:
@@ -270,7 +270,7 @@ def contenders_of(entries: list[dict[str, Any]]) -> tuple[Contender, ...]:
 
 
 def contender_of(entry: dict[str, Any]) -> Contender:
-    """The method of one entry of a config.
+    """Build the method of one entry of a config.
 
     Raises
     ------
@@ -294,7 +294,7 @@ def contender_of(entry: dict[str, Any]) -> Contender:
 
 
 def identity_of(contender: Contender, cloud: str) -> dict[str, Any]:
-    """All that a prediction for that line cloud depends on, but for the code: parameters, and digests of files."""
+    """Return all inputs of a prediction for that line cloud except the code: parameters, and digests of files."""
     parameters = asdict(contender)  # type: ignore[call-overload]
     if parameters.get("calibrated", 0) is None:
         del parameters["calibrated"]  # records of earlier versions have no such entry
@@ -302,7 +302,7 @@ def identity_of(contender: Contender, cloud: str) -> dict[str, Any]:
 
 
 def as_recovery(answer: Any, lines: LineCloud, source: str, calibrated: bool | None = None) -> Recovery:
-    """A user's answer as a Recovery; bare points are taken as they are, all with the same confidence."""
+    """Convert a user's answer to a Recovery; bare points stay as they are, all with the same confidence."""
     points = answer.xyz if isinstance(answer, Recovery) else finite_rows("points", answer)
     if isinstance(answer, Recovery) and not answer.one_each:
         if answer.element.max() >= len(lines):

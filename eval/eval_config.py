@@ -1,4 +1,4 @@
-"""The config of ``python -m eval``: types of every key, and the one place where it turns into plain objects."""
+"""Config of ``python -m eval``: the type of every key, and the only conversion to plain objects."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from l2p.work.threads import MOST_THREADS
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "eval"
 
-#: What is done, in this order.
+#: Steps of a run, in order.
 STEPS = ("predict", "score")
-#: What the points of a picture are coloured by.
+#: Quantities that colour the points of a picture.
 COLORS = ("error", "rgb")
 
 
 @dataclass
 class PictureKeys:
-    """The keys of ``pictures`` there."""
+    """Keys of ``pictures`` in ``configs/eval/eval.yaml``."""
 
     scenes: list[str] = MISSING
     fractions: list[float] | None = None
@@ -33,7 +33,7 @@ class PictureKeys:
 
 @dataclass
 class EvalConfig:
-    """The keys of ``configs/eval/eval.yaml``, where each is explained."""
+    """Keys of ``configs/eval/eval.yaml``, which explains each."""
 
     name: str = MISSING
     run: str = MISSING
@@ -56,7 +56,7 @@ ConfigStore.instance().store(name="eval_schema", node=EvalConfig)
 
 @dataclass(frozen=True)
 class Pictures:
-    """Which scenes are drawn, at which fractions, and what the colours of the points say: ``error`` or ``rgb``."""
+    """Scenes and fractions to draw, and the quantity that colours the points: ``error`` or ``rgb``."""
 
     scenes: tuple[str, ...]
     fractions: tuple[float, ...]
@@ -65,7 +65,7 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Settings:
-    """A checked config; None of ``processes`` and ``threads`` is left to the machine."""
+    """Checked config; if ``processes`` or ``threads`` is None, it is chosen for the machine."""
 
     name: str
     scenes: tuple[str, ...]
@@ -124,7 +124,7 @@ def settings_of(config: DictConfig) -> Settings:
 
 
 def _pictures(given: dict[str, Any], fractions: list[float]) -> Pictures:
-    """The pictures that are asked for; at the largest fraction unless others are named."""
+    """Check the pictures of the config; default: at the largest fraction."""
     if given["color"] not in COLORS:
         raise InputError(f"got color {given['color']!r} of the pictures; expected {' or '.join(COLORS)}")
     chosen = [max(fractions)] if given["fractions"] is None else given["fractions"]
@@ -145,7 +145,7 @@ def _there(file: Path) -> Path:
 
 
 def _page(file: Path) -> Path:
-    """A page that can be written, with images beside it; the folder is made if need be."""
+    """Check that a page and images beside it can be written; create the folder if needed."""
     if file.is_dir():
         raise InputError(f"got docs {file}, which is a folder; expected the name of a Markdown file")
     there = next(place for place in file.absolute().parents if place.exists())

@@ -1,4 +1,4 @@
-"""The run: predict every cell that is not predicted yet, then score all, then show what came out."""
+"""The run: predict every cell that is not predicted yet, then score all, then show the results."""
 
 from __future__ import annotations
 
@@ -31,13 +31,12 @@ log = logging.getLogger("eval")
 
 
 def evaluate_all(settings: Settings, folder: Path, command: str) -> int:
-    """Run, or finish, the run in ``folder``; gives the number of cells that failed.
+    """Start or continue the run in ``folder``; return the number of cells that failed.
 
     Raises
     ------
     FileNotFoundError, InputError
-        If a scene is not there, predictions in the folder were made with other settings, or another run is at work
-        there.
+        If a scene does not exist, the folder has predictions with other settings, or another run has locked it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     store = Store(folder)
@@ -59,7 +58,7 @@ def evaluate_all(settings: Settings, folder: Path, command: str) -> int:
 
 
 def _predict_all(cells: Sequence[Cell], store: Store, settings: Settings) -> int:
-    """Predict what is not predicted; a cell that fails is logged and does not stop the others."""
+    """Predict the missing cells; a failure is logged and does not stop the others."""
     open_cells = [cell for cell in cells if not store.done(cell)]
     processes, threads = plan(settings, open_cells)
     log.info(
@@ -81,7 +80,7 @@ def _predict_all(cells: Sequence[Cell], store: Store, settings: Settings) -> int
 
 
 def plan(settings: Settings, cells: Sequence[Cell]) -> tuple[int, int]:
-    """Processes, and threads of each: what the settings say, the rest as cores and free memory allow."""
+    """Choose the number of processes, and of threads per process: as in the settings, else by cores and free memory."""
     processes, threads = settings.processes, settings.threads
     if processes is None:
         lines = [cell.fraction * len(load(cell.scene.source).xyz) for cell in cells]
@@ -90,7 +89,7 @@ def plan(settings: Settings, cells: Sequence[Cell]) -> tuple[int, int]:
 
 
 def _score_all(cells: Sequence[Cell], store: Store, about: dict[str, Any]) -> list[Row]:
-    """Score what is predicted; the results are rewritten after every cell."""
+    """Score the predicted cells; the results are rewritten after every cell."""
     rows: list[Row] = []
     predicted = [cell for cell in cells if store.done(cell)]
     with terminal_progress().task("scores", total=len(predicted)) as advance:
@@ -105,7 +104,7 @@ def _score_all(cells: Sequence[Cell], store: Store, about: dict[str, Any]) -> li
 
 
 def _show(rows: list[Row], cells: Sequence[Cell], store: Store, settings: Settings, about: dict[str, Any]) -> None:
-    """Tables on stdout and in results.md, figures and pictures; all of it in the docs where asked for."""
+    """Write tables to stdout and results.md, figures and pictures; also to the docs, if the settings name them."""
     if not rows:
         log.warning("nothing is predicted yet: no tables")
         return
@@ -131,7 +130,7 @@ def _show(rows: list[Row], cells: Sequence[Cell], store: Store, settings: Settin
 
 
 def _update(settings: Settings, found: Sequence[Table]) -> None:
-    """Put the tables into the files that have a place for them."""
+    """Insert the tables into the files that have a place for them."""
     for file in settings.update:
         before = file.read_text(encoding="utf-8")
         after = updated(before, settings.name, found)
@@ -154,7 +153,7 @@ def _about(settings: Settings, command: str) -> dict[str, Any]:
 
 @contextmanager
 def _threads(count: int) -> Iterator[None]:
-    """Torch's threads, put back afterwards: the caller may be a test."""
+    """Set torch's threads, and restore them afterwards: the caller may be a test."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

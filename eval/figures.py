@@ -1,4 +1,4 @@
-"""The figures of a run: distributions of the error, accuracy against density, worth of confidence and affinity.
+"""Figures of a run: distributions of the error, accuracy against density, quality of confidence and affinity.
 
 Curves are means over scenes, each with equal weight, and over seeds.
 """
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Drawing(NamedTuple):
-    """An image file: its name, what it shows, its bytes."""
+    """Image file: name, caption, bytes."""
 
     name: str
     caption: str
@@ -31,11 +31,11 @@ class Drawing(NamedTuple):
 
 
 TICKS = (0.1, 1, 10)
-#: Inches of a legend's row, of what is beside a label, and of a letter of it; most entries in a row.
+#: Height of a legend's row, width of an entry without label, width of a letter, all in inches; most entries per row.
 LEGEND_ROW, LEGEND_KEY, LEGEND_LETTER, LEGEND_MOST = 0.18, 0.6, 0.075, 4
-#: A method has its colour and dashes in every panel.
+#: Colour and dashes of each method, the same in every panel.
 Styles = dict[str, dict[str, Any]]
-#: Same file for the same rows; text as outlines, so that it looks the same everywhere.
+#: Settings of matplotlib: the same rows give the same file; text as outlines, to look the same everywhere.
 RC: Any = {
     "font.size": 9,
     "axes.grid": True,
@@ -47,12 +47,12 @@ RC: Any = {
 
 
 def draw_figures(rows: Sequence[Row], knowing: Collection[str]) -> list[Drawing]:
-    """The figures that the rows have curves for; methods in ``knowing`` see the truth: dashed."""
+    """Draw the figures for which the rows have curves; methods in ``knowing``, which use the truth, are dashed."""
     import matplotlib
 
     styles = _styles(distinct(rows, "method"), knowing)
     drawn = []
-    # Agg needs no screen; the caller's backend is left as it is.
+    # Agg needs no screen; the caller's backend does not change.
     with matplotlib.rc_context(RC):
         for name, caption, draw in FIGURES:
             figure = draw(rows, styles)
@@ -73,7 +73,7 @@ def _by_fraction(rows: Sequence[Row], styles: Styles) -> Figure:
 
 
 def _by_kind(rows: Sequence[Row], styles: Styles) -> Figure | None:
-    """At the largest fraction."""
+    """Draw the distributions of the error at the largest fraction, one panel per kind of scene."""
     top = _fractions(rows)[0]
     rows = [row for row in rows if row["fraction"] == top]
     kinds = [kind for kind in PAPER_KIND if any(row["kind"] == kind for row in rows)]
@@ -96,7 +96,7 @@ def _by_sparsity(rows: Sequence[Row], styles: Styles) -> Figure | None:
 
 
 def _distributions(parts: Sequence[tuple[str, Sequence[Row]]], styles: dict[Any, Any], column: str) -> Figure:
-    """Share of points within an error: a panel a part, a curve for each value of a column."""
+    """Draw the share of points within an error: one panel per part, one curve per value of the column."""
     figure, panels = _panels(len(parts))
     for axes, (title, own) in zip(panels, parts, strict=True):
         for value, style in styles.items():
@@ -156,7 +156,7 @@ def _calibration(rows: Sequence[Row], styles: Styles) -> Figure | None:
 def _neighbors(rows: Sequence[Row], styles: Styles) -> Figure | None:
     def draw(axes: Axes, own: Sequence[Row], style: dict[str, Any]) -> None:
         precision = np.mean([row["curves"]["neighbors"] for row in own], axis=0)
-        # As many neighbours are used as there are true ones.
+        # Recall is share x precision, since the numbers of used and true neighbours are equal.
         axes.plot(SHARES * precision, precision, marker="o", markevery=[-1], markersize=4, clip_on=False, **style)
 
     figure = _each_fraction(rows, styles, "neighbors", draw)
@@ -168,7 +168,7 @@ def _neighbors(rows: Sequence[Row], styles: Styles) -> Figure | None:
 
 
 class _Drawn(NamedTuple):
-    """A figure: name of its file, caption, and what draws it, which gives None for rows without such curves."""
+    """Figure: name of its file, caption, and function that draws it, or returns None for rows without such curves."""
 
     name: str
     caption: str
@@ -197,7 +197,7 @@ FIGURES = (
 def _each_fraction(
     rows: Sequence[Row], styles: Styles, curve: str, draw: Callable[[Axes, Sequence[Row], dict[str, Any]], None]
 ) -> Figure | None:
-    """A panel a fraction and a curve for each method that has one."""
+    """Draw one panel per fraction, with a curve of each method that has one."""
     rows = [row for row in rows if row["curves"][curve] is not None]
     if not rows:
         return None
@@ -213,7 +213,7 @@ def _each_fraction(
 
 
 def _against_fraction(rows: Sequence[Row], column: Column) -> tuple[list[float], list[float], list[float] | None]:
-    """The percents, the pooled figure at each: mean over seeds, and its standard deviation; None of one seed."""
+    """Return percents, the pooled figure at each (mean over seeds), and its standard deviation (None for one seed)."""
     fractions = sorted({row["fraction"] for row in rows})
     values, spreads = [], []
     for fraction in fractions:
@@ -241,7 +241,7 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
 
 
 def empty_panels(count: int, columns: int, size: tuple[float, float], below: float = 0.0) -> tuple[Figure, list[Axes]]:
-    """A figure of its own, outside pyplot's state, that draws with Agg; ``size`` of a panel and ``below`` in inches."""
+    """Create a figure outside pyplot's state that draws with Agg; ``size`` of a panel and ``below`` in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -255,7 +255,7 @@ def empty_panels(count: int, columns: int, size: tuple[float, float], below: flo
 
 
 def _legend(figure: Figure, panels: Sequence[Axes]) -> None:
-    """One legend of all that any panel shows, in a strip of its own below, as wide as the figure at most."""
+    """Add one legend for all panels, in a strip below them that is no wider than the figure."""
     found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     width, height = figure.get_size_inches()
     fitting = int(width / (LEGEND_KEY + LEGEND_LETTER * max(map(len, found))))

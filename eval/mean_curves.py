@@ -12,14 +12,14 @@ from l2p.judging.accuracy import Outcome
 from l2p.judging.calibration import BINS, reliability
 from l2p.judging.curves import distribution, sampled_precision, sampled_risk
 
-#: Bins of a scene's own reliability: ten times as fine as those of the pooled one, so that scenes can be merged.
+#: Bins of the reliability of one scene: ten times those of the pooled diagram, so that scenes can be merged.
 FINE_BINS = 10 * BINS
-#: Digits that are kept.
+#: Digits of saved values.
 DIGITS = 5
 
 
 class Diagram(NamedTuple):
-    """The reliability diagram of several scenes: share of all lines, mean confidence and share within 1 spacing."""
+    """Reliability diagram of several scenes: share of all lines, mean confidence and share within 1 spacing."""
 
     share: Float[np.ndarray, " bins"]
     confidence: Float[np.ndarray, " bins"]
@@ -27,7 +27,7 @@ class Diagram(NamedTuple):
 
 
 def curves_of(found: Outcome) -> dict[str, Any]:
-    """Every curve of a prediction, as plain lists; None for what the prediction does not have."""
+    """Sample every curve of a prediction, as plain lists; None for curves that it does not have."""
     confidence, inside = found.confidence, found.inside
     ranks = confidence.min() < confidence.max()
     return {
@@ -41,13 +41,13 @@ def curves_of(found: Outcome) -> dict[str, Any]:
 def sampled_reliability(
     confidence: Float[np.ndarray, " points"], inside: Bool[np.ndarray, " points"]
 ) -> Float[np.ndarray, "3 bins"]:
-    """Share of the points, mean confidence and share within 1 spacing of each fine bin."""
+    """Share of the points, mean confidence and share within 1 spacing in each fine bin."""
     bins = reliability(confidence, inside, FINE_BINS)
     return np.stack([bins.lines / bins.lines.sum(), bins.confidence, bins.inside])
 
 
 def pooled_reliability(curves: Iterable[Any]) -> Diagram:
-    """One diagram of all scenes, each with equal weight however many lines it has, in bins of equal weight."""
+    """Reliability diagram of all scenes, in bins of equal weight; scenes count equally, whatever their size."""
     parts = [np.asarray(curve) for curve in curves]
     share, confidence, inside = np.concatenate(parts, axis=1)
     share = share / len(parts)

@@ -1,4 +1,4 @@
-"""Jobs one after the other, or in child processes, which end with this one however it ends."""
+"""Jobs run one after the other, or in child processes, which end whenever this process ends."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from l2p.errors import InputError
 
 Job = TypeVar("Job")
 
-#: Seconds that a process has to end by itself.
+#: Seconds before a process that should end is killed.
 PATIENCE = 5.0
 
 
@@ -33,7 +33,7 @@ class Failure:
 
 
 def attempt(work: Callable[[Job], None], job: Job) -> Failure | None:
-    """Do the job; a failure is returned, not raised, since the other jobs go on."""
+    """Do the job; return a failure rather than raise it, since the other jobs continue."""
     try:
         work(job)
     except (InputError, FileNotFoundError) as error:
@@ -46,12 +46,12 @@ def attempt(work: Callable[[Job], None], job: Job) -> Failure | None:
 def outcomes(
     work: Callable[[Job], None], jobs: Sequence[Job], processes: int, threads: int
 ) -> Generator[tuple[Job, Failure | None], None, None]:
-    """Do the jobs, in this process if one is enough; yield each with its failure or None, in the order of ending.
+    """Do the jobs, in this process if one is enough; yield each with its failure or None, as they end.
 
     Parameters
     ----------
     work
-        A function at module level, since processes find it by name.
+        Function at module level, since child processes import it by name.
     processes
         Most processes at a time.
     threads
@@ -88,10 +88,10 @@ def outcomes(
 
 
 class _Worker(Generic[Job]):
-    """A process that does one job at a time."""
+    """Process that does one job at a time."""
 
     def __init__(self, work: Callable[[Job], None], threads: int) -> None:
-        # Spawned: torch's threads do not survive a fork.
+        # Spawn, not fork: torch's threads do not survive a fork.
         context = multiprocessing.get_context("spawn")
         self.pipe, child = context.Pipe()
         self.process = context.Process(target=_serve, args=(child, work, threads))
@@ -104,7 +104,7 @@ class _Worker(Generic[Job]):
     def give(self, job: Job) -> None:
         """Begin a job."""
         self._job = job
-        with suppress(OSError):  # ``outcome`` reports a process that is gone
+        with suppress(OSError):  # ``outcome`` reports a process that has died
             self.pipe.send(job)
 
     def outcome(self) -> tuple[Job, Failure | None]:
@@ -128,7 +128,7 @@ class _Worker(Generic[Job]):
 
 
 def _serve(pipe: Connection, work: Callable[[Any], None], threads: int) -> None:
-    """Loop of a worker: does one job after the other until the pipe is closed."""
+    """Loop of a worker: do one job after the other until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the parent, which ends this process
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -142,7 +142,7 @@ def _serve(pipe: Connection, work: Callable[[Any], None], threads: int) -> None:
 
 
 def _end_with_parent() -> None:
-    """End at once when the parent is gone, also in the middle of a job."""
+    """End at once when the parent has ended, even in the middle of a job."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     wait([parent.sentinel])
@@ -151,7 +151,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Block SIGINT during the block; a process started in it inherits that, so Ctrl-C does not hit its start."""
+    """Mask SIGINT in the block; a process started in it inherits the mask, so Ctrl-C does not interrupt its start."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -1,4 +1,4 @@
-"""The tables of a run: figures of each method by fraction, and of each scene; for the terminal and in Markdown."""
+"""Tables of a run: figures of each method by fraction, and of each scene; for the terminal and in Markdown."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from l2p.errors import InputError
 from l2p.judging.measure import Form, arithmetic_mean, figures
 from l2p.show.tables import console
 
-#: The line after a table in a file that is updated; the line before it is <!-- eval:RUN:TABLE -->.
+#: Line after a table in a file that is updated; the line before it is <!-- eval:RUN:TABLE -->.
 PLACE_END = "<!-- /eval -->"
 
 
 class Column(NamedTuple):
-    """A figure of a table: its heading, the row's entry, how scenes are pooled, how it is printed."""
+    """Figure in a table: heading, key in a row, function that pools scenes, function that prints."""
 
     heading: str
     name: str
@@ -29,7 +29,7 @@ class Column(NamedTuple):
 
 
 class Table(NamedTuple):
-    """A titled table of text, with the name that it is asked for by."""
+    """Titled table of text, and its name."""
 
     name: str
     title: str
@@ -38,12 +38,12 @@ class Table(NamedTuple):
 
 
 def decimals(value: float) -> str:
-    """A number with three digits behind the point."""
+    """Format a number with three decimals."""
     return f"{value:.3f}"
 
 
 def percent(value: float) -> str:
-    """A share."""
+    """Format a share as percent."""
     return f"{100 * value:.1f} %"
 
 
@@ -60,7 +60,7 @@ def _seconds(value: float) -> str:
 
 
 def _columns() -> list[Column]:
-    """The figures that methods are compared by."""
+    """List the figures that compare methods."""
     forms = {Form.COUNT: "{:.0f}".format, Form.LENGTH: "{:.4g}".format, Form.SHARE: percent}
     compared = [figure for figure in figures() if figure.compared]
     columns = [Column(f.compared, f.name, f.pool, forms.get(f.form, decimals)) for f in compared]
@@ -80,7 +80,7 @@ NOTE = (
 
 
 def print_tables(found: Iterable[Table]) -> None:
-    """Tables on stdout."""
+    """Print tables to stdout."""
     for table in found:
         shown = RichTable(title=table.title)
         for i, heading in enumerate(table.head):
@@ -91,7 +91,7 @@ def print_tables(found: Iterable[Table]) -> None:
 
 
 class Image(NamedTuple):
-    """A picture of the page: where it is, and what it shows."""
+    """Picture of the page: path and caption."""
 
     path: Path
     caption: str
@@ -100,7 +100,7 @@ class Image(NamedTuple):
 def document(
     rows: Sequence[Row], found: Iterable[Table], about: dict[str, Any], images: Iterable[Image], folder: Path
 ) -> str:
-    """The Markdown page in ``folder``: the command first, then tables and figures."""
+    """Render the Markdown page in ``folder``: the command first, then tables and figures."""
     made = sorted({row["commit"] or "unknown" for row in rows})
     machine, versions = about["machine"], about["versions"]
     parts = [
@@ -130,18 +130,18 @@ def _list(values: Sequence[Any]) -> str:
 
 
 def markdown(table: Table) -> str:
-    """The table in Markdown, figures to the right."""
+    """Render the table in Markdown, with figures aligned right."""
     rule = ["---", *["---:"] * (len(table.head) - 1)]
     return "\n".join("| " + " | ".join(row) + " |" for row in (table.head, rule, *table.body))
 
 
 def updated(text: str, run: str, found: Iterable[Table]) -> str | None:
-    """The text with the run's tables in their places; None if it has no place for this run.
+    """Insert the run's tables in their places in the text; return None if it has no place for this run.
 
     Raises
     ------
     InputError
-        If a place has no end, or names no table of the run.
+        If a place has no end, or its name is not a table of the run.
     """
     named = {table.name: table for table in found}
     begin = re.compile(rf"^<!-- eval:{re.escape(run)}:(\S+) -->$\n", re.MULTILINE)
@@ -159,7 +159,7 @@ def updated(text: str, run: str, found: Iterable[Table]) -> str | None:
 
 
 def tables(rows: Sequence[Row]) -> list[Table]:
-    """The overview, one table of methods for each fraction, then the scenes at the largest of them."""
+    """Build the overview, one table of methods per fraction, then the scenes at the largest fraction."""
     fractions = sorted({row["fraction"] for row in rows}, reverse=True)
     largest = [row for row in rows if row["fraction"] == fractions[0]]
     return [
@@ -170,7 +170,7 @@ def tables(rows: Sequence[Row]) -> list[Table]:
 
 
 def overview(rows: Sequence[Row], fractions: Sequence[float]) -> Table:
-    """Median error and share within 1 spacing of each method at each fraction."""
+    """Tabulate median error and share within 1 spacing of each method at each fraction."""
     median, share = MEDIAN._replace(form=_short), SHARE._replace(form=_whole)
     body = []
     for method in distinct(rows, "method"):
@@ -182,13 +182,13 @@ def overview(rows: Sequence[Row], fractions: Sequence[float]) -> Table:
 
 
 def spread_of(rows: Iterable[Row]) -> str:
-    """What the spread in a table is; empty of one seed, which has none."""
+    """Describe the spread in a table; empty for one seed, which has none."""
     seeds = len(distinct(rows, "seed"))
     return f", mean ± standard deviation of {seeds} seeds" if seeds > 1 else ""
 
 
 def method_table(rows: Sequence[Row], fraction: float) -> Table:
-    """Figures of each method over all scenes; how many scenes that are, where some are missing."""
+    """Tabulate the figures of each method over all scenes, and the number of scenes if some are missing."""
     scenes, columns = len({row["scene"] for row in rows}), _columns()
     body = []
     for method in distinct(rows, "method"):
@@ -201,7 +201,7 @@ def method_table(rows: Sequence[Row], fraction: float) -> Table:
 
 
 def scene_table(rows: Sequence[Row], fraction: float) -> Table:
-    """Median error and share within 1 spacing of each method on each scene."""
+    """Tabulate median error and share within 1 spacing of each method on each scene."""
     methods = distinct(rows, "method")
     body = []
     for scene in distinct(rows, "scene"):
@@ -214,7 +214,7 @@ def scene_table(rows: Sequence[Row], fraction: float) -> Table:
 
 
 def pooled(rows: Sequence[Row], column: Column) -> str:
-    """A figure pooled over scenes for each seed; of several seeds their mean ± standard deviation."""
+    """Pool a figure over the scenes of each seed; mean ± standard deviation of several seeds."""
     per_seed = [pool_seed(rows, column, seed) for seed in distinct(rows, "seed")]
     values = np.array([value for value in per_seed if value is not None])
     if not len(values):
@@ -224,11 +224,11 @@ def pooled(rows: Sequence[Row], column: Column) -> str:
 
 
 def pool_seed(rows: Sequence[Row], column: Column, seed: int) -> float | None:
-    """The figure of one seed over its scenes; None where no scene has it."""
+    """Pool a figure over the scenes of one seed; None if no scene has it."""
     values = [row[column.name] for row in rows if row["seed"] == seed and row[column.name] is not None]
     return column.pool(values) if values else None
 
 
 def distinct(rows: Iterable[Row], name: str) -> list[Any]:
-    """The values of a column, each once, in the order they come."""
+    """List the values of a column, each once, in order of appearance."""
     return list(dict.fromkeys(row[name] for row in rows))

@@ -1,4 +1,4 @@
-"""From predictions to rows of figures: one row a cell, kept beside the prediction it was scored from."""
+"""Scoring of predictions: one row of figures per cell, saved beside its prediction."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Row = dict[str, Any]
 
 
 def score(cell: Cell, store: Store) -> Row:
-    """The row of a predicted cell; scored only if prediction or measures are new since it last was."""
+    """Return the row of a predicted cell; score it only if prediction or measures have changed since the last time."""
     stamp = _stamp(cell, store)
     path = store.scores / f"{cell.key}.json"
     if path.is_file():
@@ -34,7 +34,7 @@ def score(cell: Cell, store: Store) -> Row:
 
 
 def csv_bytes(rows: Iterable[Row]) -> bytes:
-    """The tidy table: one line a cell, one column a figure; curves are for JSON alone."""
+    """Encode the tidy table: one line per cell, one column per figure; curves are only in the JSON."""
     plain = [{name: value for name, value in row.items() if name != "curves"} for row in rows]
     text = io.StringIO()
     if plain:
@@ -58,7 +58,7 @@ def _stamp(cell: Cell, store: Store) -> str:
 
 
 def _figures() -> list[Figure]:
-    """The columns of the table: scenes need not be in metres."""
+    """List the columns of the table, without figures that need metric scenes."""
     return [figure for figure in figures() if figure.need is not Need.METRIC]
 
 

@@ -1,4 +1,4 @@
-"""Side by side: the true points of a scene and what each method makes of its lines, seen by one camera."""
+"""Side by side: the true points of a scene and the recovered points of each method, seen by one camera."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from l2p.show.stance import Stance
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Colour of points without one.
+#: Colour of points that have none of their own.
 PLAIN = "#3d4a5c"
-#: Along each axis, the share of points on either side that does not set the box, and how far, in lengths of the rest,
-#: the box reaches beyond the rest: far background would shrink everything else.
+#: Share of points ignored at either end of each axis, and margin of the box around the others, in lengths of their
+#: extent: far background would shrink everything else.
 TAIL, REACH = 0.1, 0.3
-#: Of points in their own colours, which may be pale: an exponent that darkens them on white.
+#: Gamma for rgb points on white, which may be pale.
 DARKER = 1.6
-#: Least and greatest height of a panel, in widths of it.
+#: Least and greatest height of a panel, in units of its width.
 HEIGHTS = (0.45, 1.2)
-#: Diameter of a point of a cloud of 10,000, in printer's points; fewer points are larger.
+#: Diameter of a point in a cloud of 10,000, and its limits, in typographic points; fewer points are larger.
 SIZE, SIZES = 1.2, (0.6, 3.0)
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """How a scene is seen: turned by ``turn`` so that z is up, its main part in a box, a camera above the box."""
+    """View of a scene: turned by ``turn`` so that z is up, its main part in a box, a camera above the box."""
 
     turn: Float[np.ndarray, "3 3"]
     box: Box
@@ -50,7 +50,7 @@ class View:
 
     @classmethod
     def of(cls, scene: Scene, upright: bool) -> View:
-        """The view of a scene; ``upright`` says that its z is up, else up is as on pages."""
+        """Choose the view of a scene; if ``upright``, its z is up, else up is guessed as on pages."""
         exhibit = Exhibit(points=scene.xyz, camera_centers=scene.camera_centers)
         turn = np.eye(3) if upright else Stance.before(exhibit).axes
         xyz = scene.xyz @ turn.T
@@ -60,12 +60,12 @@ class View:
         return cls(turn, box, Camera.above(box))
 
     def shown(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
-        """Which points are in the box."""
+        """Mask of the points in the box."""
         return self.box.contains(points @ self.turn.T)
 
 
 def check_pictures(pictures: Pictures, scenes: Sequence[SceneSource]) -> None:
-    """Refuse scenes that the run does not have, before any work."""
+    """Refuse, before any work, scenes that are not in the run."""
     names = [scene.name for scene in scenes]
     for name in pictures.scenes:
         if name not in names:
@@ -73,7 +73,7 @@ def check_pictures(pictures: Pictures, scenes: Sequence[SceneSource]) -> None:
 
 
 def draw_pictures(cells: Sequence[Cell], rows: Sequence[Row], store: Store, pictures: Pictures) -> list[Drawing]:
-    """Every picture that is asked for and has something predicted, of the first seed."""
+    """Draw every picture of the config that has a prediction, for the first seed."""
     row_of = {(row["scene"], row["fraction"], row["seed"], row["method"]): row for row in rows}
     drawn = []
     for name in pictures.scenes:
@@ -87,7 +87,7 @@ def draw_pictures(cells: Sequence[Cell], rows: Sequence[Row], store: Store, pict
 
 
 def _picture(cells: Sequence[Cell], rows: Sequence[Row], store: Store, color: str) -> Drawing:
-    """One scene at one fraction: the truth, then a panel a method."""
+    """Draw one scene at one fraction: the truth, then one panel per method."""
     source, fraction = cells[0].scene, cells[0].fraction
     scene = scene_at(source.source)
     view = View.of(scene, upright=source.source.startswith("sim:"))
@@ -137,7 +137,7 @@ def _draw(
 
 
 def _limits(view: View, truth: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "2 2"]:
-    """Low and high corner of the image: what the true points in the box fill."""
+    """Low and high corner of the image: the extent of the true points in the box."""
     place, _ = view.camera.project(truth[view.shown(truth)] @ view.turn.T)
     low, high = (place.min(axis=0), place.max(axis=0)) if len(place) else (-np.ones(2), np.ones(2))
     return np.stack([low, high]) + 0.03 * (high - low) * [[-1], [1]]

@@ -1,4 +1,4 @@
-"""The figures that goals of an attack are stated in: ratios to the paper's attack and to the bound, and calibration."""
+"""Figures in which the goals of attacks are set: ratios to the paper's attack and to the bound, and calibration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from eval.result_tables import Column, Table, decimals, distinct, percent, poole
 from eval.scoring import Row
 from l2p.judging.measure import arithmetic_mean, geometric_mean
 
-#: Each ratio: its name, the figure, and the reference whose figure divides it.
+#: Each ratio: its name, the figure, and the reference whose figure is the divisor.
 RATIOS = (
     ("median_ratio", "median_spacings", "heuristic"),
     ("precision_ratio", "neighbor_precision", "heuristic"),
@@ -24,7 +24,7 @@ RATIOS = (
 
 @dataclass(frozen=True)
 class References:
-    """Labels of the methods of a run that others are compared with, None where it has none; and who knows the truth."""
+    """Labels of the reference methods of a run, None if it has none, and of all methods that use the truth."""
 
     heuristic: str | None
     loo: str | None
@@ -32,7 +32,7 @@ class References:
 
     @classmethod
     def of(cls, methods: Sequence[Contender]) -> References:
-        """The paper's attack with the paper's counts, and leave-one-out."""
+        """Find the paper's attack with the paper's counts, and leave-one-out."""
         heuristic = [
             m.label
             for m in methods
@@ -57,7 +57,7 @@ def _reached(values: Sequence[Any]) -> float:
 
 
 def target_table(rows: Sequence[Row], references: References) -> Table | None:
-    """What each attack reaches at each fraction; only the figures whose reference is in the run, None without any."""
+    """Tabulate the targets of each attack at each fraction, if their reference is in the run; None without any."""
     columns = _columns(references, rows)
     attacks = [method for method in distinct(rows, "method") if method not in references.knowing]
     if not columns or not attacks:
@@ -74,7 +74,7 @@ def target_table(rows: Sequence[Row], references: References) -> Table | None:
 
 
 def with_ratios(rows: Sequence[Row], references: References) -> list[Row]:
-    """The rows with each of ``RATIOS`` to the reference on the same line cloud; None where that is missing or 0."""
+    """Add to the rows each of ``RATIOS`` to the reference on the same line cloud; None if that is missing or 0."""
     of = {(row["method"], row["scene"], row["fraction"], row["seed"]): row for row in rows}
     found = []
     for row in rows:

@@ -1,6 +1,6 @@
-"""How much of a map comes back from its line cloud? One map, step by step: python examples/audit_a_map.py -o report
+"""Audit one map step by step: how much is recovered from its lines? python examples/audit_a_map.py -o report
 
-Without a map a room is simulated. `l2p audit` makes a whole page of this; here are the steps to build on.
+Without a map, a room is simulated. `l2p audit` writes a full report; this example shows the steps to build on.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ import matplotlib.pyplot as plt
 
 
 def main() -> None:
-    """Lift, recover, evaluate, and leave behind what there is to look at."""
+    """Lift, recover, evaluate, and write a picture and the recovered points."""
     arguments = _arguments()
     folder = Path(arguments.output)
     folder.mkdir(parents=True, exist_ok=True)
 
-    # The map: what its owner has. Points (points, 3), in metres here.
+    # The map, which its owner has: points (points, 3), here in metres.
     if arguments.map is None:
         scene = l2p.simulate("room", points=arguments.points, seed=0)
     else:
         scene = l2p.load(arguments.map, l2p.Scene)
     unit = spacing(scene.xyz)
 
-    # The line cloud: what would be published. The truth, which point is behind each line, stays with the owner.
+    # The line cloud would be published. The truth (the point behind each line) stays with the owner.
     hidden = l2p.hide(scene, fraction=arguments.fraction)
     l2p.save(hidden.map, folder / "lines.npz", overwrite=True)
 
-    # The attack: what anybody can compute from the lines.
+    # The attack: anybody can compute this from the lines.
     recovery = l2p.recover(hidden.map, method=arguments.method)
     l2p.save(recovery, folder / "recovered.ply", overwrite=True)
 
-    # The verdict: by the owner, who knows the truth.
+    # The scores: only the owner, who has the truth, can compute them.
     scores = l2p.evaluate(recovery, hidden.truth, unit)
     print(f"{scores.lines} lines, spacing {unit:.3g}")
     print(f"median error: {scores.median:.3g}, which is {scores.median_spacings:.2f} spacings")
@@ -58,8 +58,8 @@ def draw(
     recovered: Float[np.ndarray, "lines 3"],
     error: Float[np.ndarray, " lines"],
 ) -> None:
-    """The true points beside the recovered ones, along the two longest axes of the map; ``error`` in spacings."""
-    # Of the inner points: a few far ones would turn and shrink the picture.
+    """Draw the true points beside the recovered ones, along the two longest axes of the map; ``error`` in spacings."""
+    # Inner points only: a few far ones would turn and shrink the picture.
     centre = np.median(truth, axis=0)
     distance = np.linalg.norm(truth - centre, axis=1)
     inner = truth[distance <= 2 * np.median(distance)] - centre
@@ -70,7 +70,7 @@ def draw(
     figure, panels = plt.subplots(1, 2, figsize=(12, 5.5), layout="constrained", sharex=True, sharey=True)
     panels[0].scatter(*true_place.T, s=3, color="0.35", linewidths=0)
     panels[0].set_title("the map")
-    # The right ones on top.
+    # Small errors on top.
     order = np.argsort(-error)
     shown = panels[1].scatter(
         *place[order].T, s=3, c=error[order], cmap="viridis_r", vmin=0, vmax=ERROR_LIMIT, linewidths=0

@@ -1,7 +1,7 @@
-"""The audit: what an attacker would get back of a map, at several shares of its points.
+"""The audit: how much of a map an attacker would recover, at several fractions of its points.
 
-A scene is lifted, attacked and scored against itself. A line cloud, whose points nobody knows, is attacked as it is,
-and what can be expected is read off the calibrated confidence.
+A scene is lifted, attacked and scored against its own points. A line cloud, whose points are unknown, is attacked as it
+is, and its scores are predicted from the calibrated confidence.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from l2p.maps.truth import Truth
 from l2p.schemes.hide import hide
 from l2p.work.progress import NO_PROGRESS, Progress
 
-#: Version of the layout of ``audit.json``.
+#: Version of the layout of ``audit.json``, written into it.
 AUDIT_VERSION = 1
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the calibrated confidence lets expect, without the truth.
+    """Scores predicted from the calibrated confidence, without the truth.
 
     Attributes
     ----------
     within_spacing : float
         Expected share of points within 1 spacing: the mean confidence.
     confident_half : float
-        The same among the most confident half.
+        Expected share among the most confident half.
     """
 
     within_spacing: float
@@ -51,7 +51,7 @@ class Prediction:
 
     @classmethod
     def of(cls, recovery: Recovery) -> Prediction | None:
-        """Read off the confidences of a recovery; None if they only rank."""
+        """Predict from the confidences of a recovery; None if they only rank."""
         if not recovery.calibrated:
             return None
         ordered = np.sort(recovery.confidence.astype(np.float64))[::-1]
@@ -65,14 +65,14 @@ class Trial:
     Attributes
     ----------
     fraction : float
-        Share of the map's points that was lifted.
+        Fraction of the map's points that was lifted.
     lines : LineCloud
     recovery : Recovery
-        Without neighbours and affinities.
+        The recovery without neighbours and affinities.
     truth : Truth or None
         The points behind the lines; None if the audit was given a line cloud.
     rgb : (lines, 3) uint8 or None
-        Colours of the points behind the lines, for pictures; the attack does not see them.
+        Colours of the points behind the lines, for pictures; the attack does not use them.
     scores : Scores or None
         None without the truth.
     prediction : Prediction or None
@@ -100,25 +100,25 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Audit:
-    """What an audit found.
+    """Results of an audit.
 
     Attributes
     ----------
     name : str
-        Of the map, as the user knows it.
+        Name of the map, chosen by the user.
     points : int
-        Points of the map; lines, if a line cloud was given.
+        Number of points of the map; of lines, if a line cloud was given.
     spacing : float
-        Of the whole map, scene units; estimated from the recovered points if a line cloud was given.
+        Spacing of the whole map, scene units; estimated from the recovered points if a line cloud was given.
     trials : tuple of Trial
         From the largest to the smallest fraction.
     method : str
     seed : int or None
-        Of the liftings; None if a line cloud was given.
+        Seed of the liftings; None if a line cloud was given.
     metric : bool
         The scene is in metres.
     camera_centers : (cameras, 3) float64 or None
-        Where the scene has them, scene units.
+        Camera centres of the scene, if it has any, scene units.
     """
 
     name: str
@@ -141,7 +141,7 @@ class Audit:
         return self.trials[0].recovery.calibrated
 
     def as_dict(self) -> dict[str, Any]:
-        """All figures, settings and versions as plain values, for a JSON file."""
+        """Return all figures, settings and versions as plain values, for a JSON file."""
         return {
             "version": AUDIT_VERSION,
             "name": self.name,
@@ -172,36 +172,37 @@ def audit(
     name: str = "map",
     **settings: Any,
 ) -> Audit:
-    """Tell what an attacker would get back of a map, if its line cloud were published.
+    """Measure how much of a map an attacker would recover, if its line cloud were published.
 
     Parameters
     ----------
     scene : Scene, (points, 3) array or LineCloud
         A scene or its points are lifted, attacked and scored. A line cloud is attacked as it is.
     fractions : sequence of float, optional
-        Shares of the points to lift, in (0, 1]; :data:`FRACTIONS` when left out. Not with a line cloud.
+        Fractions of the points to lift, in (0, 1]; default :data:`FRACTIONS`. Not with a line cloud.
     seed : int
-        Of the liftings. No line cloud of the audit is kept: one that is published is lifted without a seed.
+        Seed of the liftings, for repeatable audits. Line clouds to publish must be lifted without a seed.
     method, device, memory, **settings
-        As of :func:`l2p.recover`; the fraction of the points is known.
+        See :func:`l2p.recover`; attacks that use the fraction of the points get the true one.
     metric : bool
         The scene is in metres.
     progress : Progress
-        Shows how far the work is; the smallest fraction comes first, so that the rate is soon known.
+        Shows the progress; the smallest fraction comes first, so that the rate is soon known.
     name : str
-        Of the map, for the report.
+        Name of the map, for the report.
 
     Returns
     -------
     Audit
-        ``l2p.save_report(audit, "report")`` writes it as a page to look at.
+        ``l2p.save_report(audit, "report")`` writes it as an HTML page.
 
     Raises
     ------
     FileNotFoundError
-        If there is no such checkpoint.
+        If the checkpoint does not exist.
     InputError
-        If a fraction is out of range or does not fit, the points have no extent, or :func:`l2p.recover` refuses.
+        If a fraction is out of range or given with a line cloud, the points have no extent, or as for
+        :func:`l2p.recover`.
 
     Examples
     --------
@@ -227,7 +228,7 @@ def audit(
 
 
 def _fractions(wanted: Sequence[float]) -> list[float]:
-    """The fractions, each once, from the smallest to the largest."""
+    """Fractions, each once, from the smallest to the largest."""
     bad = [share for share in wanted if not 0 < share <= 1]
     if bad or not len(wanted):
         got = f"fraction {bad[0]}" if bad else "no fraction"
@@ -244,7 +245,7 @@ def _trial(
     metric: bool,
     progress: Progress,
 ) -> Trial:
-    """Lift a share of the scene, attack it, and score the attack."""
+    """Lift a fraction of the scene, attack it, and score the recovery."""
     hidden = hide(scene, seed, fraction)
     truth = replace(hidden.truth, spacing=scale)
     rgb = None if scene.rgb is None else scene.rgb[truth.index]
@@ -263,14 +264,14 @@ def _trial(
 
 
 def _audit_lines(lines: LineCloud, settings: dict[str, Any], metric: bool, progress: Progress, name: str) -> Audit:
-    """Attack a line cloud whose points nobody knows."""
+    """Attack a line cloud whose points are unknown."""
     recovery = _attack(lines, 1.0, settings, progress)
     trial = Trial(1.0, lines, recovery, None, lines.rgb, None, Prediction.of(recovery), predicted_curves(recovery))
     return Audit(name, len(lines), spacing(recovery.xyz), (trial,), settings["method"], None, metric)
 
 
 def _attack(lines: LineCloud, fraction: float, settings: dict[str, Any], progress: Progress) -> Recovery:
-    """Recover, without neighbours and affinities; attacks with a setting ``fraction`` know the true one."""
+    """Recover, then drop neighbours and affinities; pass the true fraction to attacks with that setting."""
     known = {"fraction": fraction} if settings["method"] in owners_of("fraction") else {}
     recovery = recover(lines, progress=progress, **known, **settings)
     return replace(recovery, neighbors=None, affinity=None)

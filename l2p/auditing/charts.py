@@ -1,4 +1,4 @@
-"""The curves of an audit as SVG that takes its colours from the page, so that they read in light and dark."""
+"""Curves of an audit as SVG with the colours of the page, readable in its light and dark modes."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
 
-#: Curves with colours of their own, the page's ``--series-0`` and so on; further ones begin again, dashed otherwise.
+#: Number of curve colours of the page (``--series-0`` and so on); further curves reuse them with other dashes.
 SERIES = 4
 _DASHES = ("-", "--", "-.", ":")
-# Colours that stand for the page's own; no other part of a chart has them.
+# Placeholders, replaced by colours of the page; nothing else in a chart has these colours.
 _INK, _GRID, _PAPER = "#010101", "#020202", "#030303"
 _VARIABLES = {
     _INK: "var(--ink)",
@@ -34,7 +34,7 @@ _WIDTH, _HEIGHT = 4.1, 3.5
 
 @dataclass(frozen=True)
 class Chart:
-    """A curve with its heading, what it shows in words, and its alternative text; ``svg`` is safe to embed."""
+    """A chart with its heading, caption and alternative text; ``svg`` is safe to embed."""
 
     heading: str
     caption: str
@@ -43,7 +43,7 @@ class Chart:
 
 
 def charts(audit: Audit) -> list[Chart]:
-    """The curves that this audit has."""
+    """Draw the charts for which this audit has curves."""
     curves = [trial.curves for trial in audit.trials]
     drawn = []
     if all(each.within for each in curves):
@@ -119,7 +119,7 @@ def _reliability(audit: Audit) -> Chart:
 
 
 def _styled(audit: Audit) -> Iterator[tuple[Trial, dict[str, Any]]]:
-    """Each trial with the look of its curve."""
+    """Yield each trial with the style of its curve."""
     for number, trial in enumerate(audit.trials):
         yield (
             trial,
@@ -133,14 +133,14 @@ def _styled(audit: Audit) -> Iterator[tuple[Trial, dict[str, Any]]]:
 
 
 def _svg(name: str, draw: Callable[[Axes], None]) -> str:
-    """One chart; without the XML header, with text as text, and with colours as variables of the page."""
+    """Draw one chart, without the XML header, with text as text, and with colours as variables of the page."""
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     look: Any = {
         "svg.fonttype": "none",
-        # Names of clip paths and markers; all charts are in one page.
+        # Makes the names of clip paths and markers unique in the page, which holds all charts.
         "svg.hashsalt": name,
         "font.size": 10.5,
         "axes.edgecolor": _GRID,
@@ -169,7 +169,7 @@ def _svg(name: str, draw: Callable[[Axes], None]) -> str:
 def _themed(svg: str) -> str:
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    # The page scales it; the view box keeps its proportions.
+    # The page scales the chart; the view box keeps its proportions.
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r"(font: [0-9.]+px) [^;\"]*", r"\1 var(--font)", svg)
@@ -179,7 +179,7 @@ def _themed(svg: str) -> str:
 
 
 def _percent_axis(axis: Axis) -> None:
-    """Few ticks, each with all its digits."""
+    """Set few ticks, each with all its digits."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
     axis.set_major_locator(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]))

@@ -1,4 +1,4 @@
-"""The report of an audit: a folder with a page to look at and a file with all figures."""
+"""The report of an audit: a folder with an HTML page and a JSON file of all figures."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from l2p.show.page import MOST_POINTS
 from l2p.show.page.numbers import count, fraction, length, percent
 from l2p.show.page.render import render
 
-#: What the folder holds.
+#: Files of the folder.
 PAGE, FIGURES = FILES = ("index.html", "audit.json")
-#: How figures are printed on the page.
+#: Printing function of each kind of figure, for the page.
 _FORMS: dict[Form, Callable[[Any], str]] = {
     Form.COUNT: count,
     Form.LENGTH: "{:.4g}".format,
@@ -34,7 +34,7 @@ _FORMS: dict[Form, Callable[[Any], str]] = {
 
 
 class Head(NamedTuple):
-    """The heading of one column, or of several that have headings of their own ``under`` it."""
+    """Heading of one column, or of several whose own headings are ``under`` it."""
 
     text: str
     under: tuple[str, ...] = ()
@@ -42,7 +42,7 @@ class Head(NamedTuple):
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the page; the first cell of each row is its heading."""
+    """Table of the page; the first cell of each row is its heading."""
 
     heading: str
     heads: Sequence[Head]
@@ -51,7 +51,7 @@ class Table:
 
     @property
     def grouped(self) -> bool:
-        """Whether the headings take two rows."""
+        """Whether the headings need two rows."""
         return any(head.under for head in self.heads)
 
 
@@ -63,23 +63,23 @@ def save_report(
     command: str | None = None,
     most_points: int = MOST_POINTS,
 ) -> None:
-    """Write the report of an audit: a page to look at, and all figures as JSON.
+    """Write the report of an audit: an HTML page, and all figures as JSON.
 
     Parameters
     ----------
     folder : path
-        Written whole or not at all; it holds ``index.html`` and ``audit.json``.
+        Folder of ``index.html`` and ``audit.json``, written whole or not at all.
     overwrite : bool
         Replace the folder of an earlier report.
     command : str, optional
-        The command line that gives this audit again, for the page.
+        Command line that repeats this audit, for the page.
     most_points : int
-        Points of each cloud in the view; the figures count all.
+        Most points of each cloud in the view; the figures count all points.
 
     Raises
     ------
     InputError
-        If the folder must not be replaced or cannot be written.
+        If the folder exists and may not be replaced, or cannot be written.
     """
     with atomic_folder(folder, overwrite=overwrite, replaceable=frozenset(FILES)) as place:
         content = figures_of(audit, command)
@@ -88,12 +88,12 @@ def save_report(
 
 
 def figures_of(audit: Audit, command: str | None = None) -> dict[str, Any]:
-    """Everything that ``audit.json`` holds."""
+    """Return the content of ``audit.json``."""
     return {**audit.as_dict(), "command": command}
 
 
 def report_page(audit: Audit, command: str | None = None, most_points: int = MOST_POINTS) -> bytes:
-    """The page of an audit, UTF-8."""
+    """Render the page of an audit, UTF-8."""
     exhibits = [(fraction(trial.fraction), _exhibit(trial, audit)) for trial in audit.trials]
     return render(
         "audit.html",
@@ -115,7 +115,7 @@ def report_page(audit: Audit, command: str | None = None, most_points: int = MOS
 
 
 def _exhibit(trial: Trial, audit: Audit) -> Exhibit:
-    """The layers of one attack."""
+    """Gather the layers of one attack."""
     recovery, truth = trial.recovery, trial.truth
     return Exhibit(
         points=None if truth is None else truth.xyz,
@@ -157,13 +157,13 @@ def _metric_table(audit: Audit) -> Table:
 
 
 def _shown(audit: Audit) -> list[Figure]:
-    """The figures of the page that some trial has."""
+    """List the figures of the page that at least one trial has."""
     scores = [trial.scores.figures for trial in audit.trials if trial.scores]
     return [each for each in figures() if each.page and any(found[each.name] is not None for found in scores)]
 
 
 def _heads(shown: Sequence[Figure]) -> list[Head]:
-    """A heading for each figure; neighbours with the same heading above them share it."""
+    """Return the headings of the columns; adjacent columns with the same upper heading share it."""
     heads = []
     for over, group in groupby(shown, lambda figure: figure.over or figure.name):
         own = list(group)
@@ -192,7 +192,7 @@ def _predicted_table(audit: Audit) -> Table:
 
 
 def _facts(audit: Audit) -> list[tuple[str, str]]:
-    """What was run, where and when."""
+    """List the facts of the run: method, settings, machine, time."""
     settings = audit.trials[0].recovery.info["settings"]
     made = audit.as_dict()
     where = made["machine"]

@@ -1,16 +1,16 @@
-"""The sentences of a report: what the figures say, in plain words."""
+"""Sentences of a report: the figures in plain words."""
 
 from __future__ import annotations
 
 from l2p.auditing.audit import Audit, Trial
 from l2p.show.page.numbers import count, fraction, length, percent
 
-#: The attacker can hardly tell right from wrong unless this much more of the most confident half is right.
+#: Least gain in the share within 1 spacing, from all points to the most confident half, that is called informative.
 _TELLING = 0.02
 
 
 def headline(audit: Audit) -> str:
-    """What is got back of the largest share of the map, and whether the attacker knows which points are right."""
+    """Share of the map recovered at the largest fraction, and whether the attacker knows which points are right."""
     trial = audit.trials[0]
     within, half = _figures(trial)
     spacing = f"1 spacing ({length(audit.spacing, audit.metric)})"
@@ -38,7 +38,7 @@ def _knowledge(within: float, half: float) -> str:
 
 
 def typical(audit: Audit) -> str:
-    """How far off the points typically are, of the largest share of the map; empty unless lengths are known."""
+    """Median error at the largest fraction of the map; empty unless the scene is metric and the truth known."""
     scores = audit.trials[0].scores
     if scores is None or not audit.metric:
         return ""
@@ -46,7 +46,7 @@ def typical(audit: Audit) -> str:
 
 
 def sparser(audit: Audit) -> str:
-    """What becomes of it if fewer points are published; empty if only one share was tried."""
+    """Share recovered at the smallest fraction of the map; empty if only one fraction was tried."""
     if len(audit.trials) < 2:
         return ""
     trial = audit.trials[-1]
@@ -59,7 +59,7 @@ def sparser(audit: Audit) -> str:
 
 
 def _figures(trial: Trial) -> tuple[float | None, float | None]:
-    """Share within 1 spacing, of all and of the most confident half; measured if it can be, else predicted."""
+    """Share within 1 spacing among all points and the most confident half; measured if possible, else predicted."""
     if trial.scores is not None:
         return trial.scores.within_spacings["1"], trial.scores.confident_half
     if trial.prediction is not None:

@@ -1,4 +1,4 @@
-"""What the commands of ``l2p`` do: check the outputs first, then read, work, and write all of it or nothing."""
+"""Commands of ``l2p``: each checks its outputs first, then reads, works, and writes everything or nothing."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from l2p.work.progress import terminal_progress
 
 
 def lift(arguments: Namespace) -> None:
-    """``l2p lift``."""
+    """Run ``l2p lift``."""
     check_outputs([arguments.scene], [arguments.output, arguments.truth], arguments.force)
     line_ending(arguments.output)
     scene = load_scene(arguments.scene)
@@ -38,7 +38,7 @@ def lift(arguments: Namespace) -> None:
     hidden = hide(scene, arguments.seed, arguments.fraction, arguments.scheme, rgb=arguments.rgb)
     with ExitStack() as stack:
         if arguments.truth is not None:
-            # Renamed after the lines are in place, so that a failure leaves neither.
+            # Renamed after the lines are written, so that a failure leaves neither file.
             file = stack.enter_context(atomic_file(arguments.truth, overwrite=arguments.force))
             file.write(truth_bytes(replace(hidden.truth, spacing=spacing(scene.xyz))))
         save_lines(hidden.map, arguments.output, overwrite=arguments.force)
@@ -46,7 +46,7 @@ def lift(arguments: Namespace) -> None:
 
 
 def evaluate(arguments: Namespace) -> None:
-    """``l2p evaluate``."""
+    """Run ``l2p evaluate``."""
     check_outputs([arguments.recovery, arguments.truth], [file_of(arguments.json)], arguments.force)
     recovery, truth = load_recovery(arguments.recovery), load_truth(arguments.truth)
     columns = {"all": score(recovery, truth, metric=arguments.metric)}
@@ -61,7 +61,7 @@ def evaluate(arguments: Namespace) -> None:
 
 
 def audit(arguments: Namespace) -> None:
-    """``l2p audit``."""
+    """Run ``l2p audit``."""
     from l2p.auditing.audit import audit as examine
     from l2p.auditing.report import FILES, PAGE, figures_of, save_report
     from l2p.auditing.words import headline, sparser, typical
@@ -103,7 +103,7 @@ def audit(arguments: Namespace) -> None:
 
 
 def view(arguments: Namespace) -> None:
-    """``l2p view``."""
+    """Run ``l2p view``."""
     from l2p.show.exhibit import Exhibit
     from l2p.show.page.file_view import view_page
     from l2p.show.window import check_window, show
@@ -127,7 +127,7 @@ def view(arguments: Namespace) -> None:
 
 
 def _open(page: Path) -> None:
-    """Show a page in the browser, where there is a display."""
+    """Open a page in the browser, if there is a display."""
     from l2p.show.window import has_display
 
     if has_display():
@@ -135,12 +135,12 @@ def _open(page: Path) -> None:
 
 
 def info(arguments: Namespace) -> None:
-    """``l2p info``."""
+    """Run ``l2p info``."""
     print_info(arguments.file)
 
 
 def demo(arguments: Namespace) -> None:
-    """``l2p demo``."""
+    """Run ``l2p demo``."""
     from l2p.cli.demo import run
 
     run(
@@ -153,7 +153,7 @@ def demo(arguments: Namespace) -> None:
 
 
 def _check_report(arguments: Namespace, files: Iterable[str]) -> None:
-    """Everything about an audit that can be refused before the scene is read."""
+    """Refuse wrong arguments of an audit before the scene is read."""
     inputs = [path for path in (arguments.scene, arguments.checkpoint) if path is not None]
     check_outputs(inputs, [file_of(arguments.json)], arguments.force)
     check_folder(arguments.output, overwrite=arguments.force, replaceable=frozenset(files))
@@ -167,7 +167,7 @@ def _check_report(arguments: Namespace, files: Iterable[str]) -> None:
 
 
 def _audit_command(arguments: Namespace, lines_given: bool) -> str:
-    """The command line that gives this audit again."""
+    """Return the command line that repeats this audit."""
     words = ["l2p", "audit", arguments.scene, "-o", arguments.output]
     if arguments.fractions is not None:
         words += ["--fractions", *(f"{share:.15g}" for share in arguments.fractions)]
@@ -181,5 +181,5 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
 
 
 def _shown(path: str) -> str:
-    """A path as text; its bytes need be none."""
+    """Return a path as printable text, even if its bytes are not valid text."""
     return os.fsencode(path).decode("utf-8", errors="replace")

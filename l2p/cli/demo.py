@@ -1,4 +1,4 @@
-"""The demonstration: a simulated room is mapped, hidden in a line cloud, and recovered from the lines alone."""
+"""Demonstration: a simulated room is mapped, hidden in a line cloud, and recovered from the lines alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from l2p.show.tables import print_scores
 from l2p.simulator import simulate_model
 from l2p.work.progress import NO_PROGRESS, Progress
 
-#: What the folder holds: the map, what is published of it, what an attacker makes of that, and the answer.
+#: Files of the folder: the map, its published line cloud, an attacker's recovery, and the truth.
 MODEL, MAP, LINES, RECOVERY, CLOUD, TRUTH, PICTURE = FILES = (
     "model",
     "map.ply",
@@ -39,25 +39,25 @@ def run(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Simulate, lift, recover, score and draw; the table goes to stdout, the rest into ``folder``.
+    """Simulate, lift, recover, score and draw; print the table to stdout, write the rest into ``folder``.
 
     Parameters
     ----------
     folder : path
-        Written whole or not at all.
+        Output folder, written whole or not at all.
     points, seed : int
-        Of the simulated room (:func:`l2p.simulate`).
+        Size and seed of the simulated room (:func:`l2p.simulate`).
     overwrite : bool
         Replace the folder of an earlier demonstration.
 
     Raises
     ------
     InputError
-        If the folder must not be replaced, or there are too few points for a room.
+        If the folder exists and may not be replaced, or there are too few points for a room.
     """
     with atomic_folder(folder, overwrite=overwrite, replaceable=frozenset(FILES)) as place:
         simulate_model("room", points, seed).save_colmap(place / MODEL)
-        # Read back from its files, as anybody's map would be.
+        # Read back from its files, like a user's map.
         scene = load_scene(place / MODEL)
         save_scene_ply(scene, place / MAP)
         hidden = hide(scene, seed=seed)

@@ -1,4 +1,4 @@
-"""Flags of the attacks' settings, made from where these are declared (:mod:`l2p.attacks.settings`)."""
+"""Flags for the settings of the attacks, generated from their declarations (:mod:`l2p.attacks.settings`)."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 
 from l2p.attacks.settings import ATTACKS, DEFAULT_METHOD, METHODS, owners_of, setting_names
 
-#: Types of flags by the annotation of their setting.
+#: Type of a flag by the annotation of its setting.
 _TYPES = {"str": str, "int": int, "float": float}
 
 
 def add_method(command: argparse.ArgumentParser, leave_out: tuple[str, ...] = ()) -> None:
-    """Add ``--method``, and a flag for each setting of an attack but those left out."""
+    """Add ``--method``, and a flag for each setting of an attack, except those in ``leave_out``."""
     command.add_argument(
         "--method",
         metavar="NAME",
@@ -26,7 +26,7 @@ def add_method(command: argparse.ArgumentParser, leave_out: tuple[str, ...] = ()
 
 
 def settings_of(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The settings that were given."""
+    """Return the settings given on the command line."""
     values = {name: getattr(arguments, name, None) for name in setting_names()}
     return {name: value for name, value in values.items() if value is not None}
 

@@ -1,4 +1,4 @@
-"""The command ``l2p``: flags and exit codes; the work is in :mod:`l2p.cli.commands`, loaded when a command runs."""
+"""Command ``l2p``: flags and exit codes; the work is in :mod:`l2p.cli.commands`, loaded when a command runs."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ from l2p.show.page import MOST_POINTS
 from l2p.version import __version__
 from l2p.work.memory import SHARE
 
-#: Exit codes: a process that shared the work has died, the user's error, and Ctrl-C (128 + SIGINT).
+#: Exit codes: a rank died, the user's error, and Ctrl-C (128 + SIGINT).
 LOST, USER_ERROR, INTERRUPTED = 1, 2, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and give its exit code: 0 done, 1 when a process that shared the work has died, 2 for a user's
-    error, 130 after Ctrl-C."""
+    """Run one command and return its exit code: 0 done, 1 if a rank died, 2 for a user's error, 130 after Ctrl-C."""
     arguments = _parser().parse_args(argv)
     arguments.words = sys.argv[1:] if argv is None else list(argv)
-    # Threads that wait should sleep: on a machine that is busy, those that spin take several times as long.
+    # Waiting threads should sleep: on a busy machine, spinning threads take several times as long.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    # Of a lost process torch would tell in pages.
+    # Silence torch's stack trace when a rank dies.
     os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "FATAL")
     try:
         from l2p.cli import commands
@@ -47,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _left(arguments: argparse.Namespace) -> str:
-    """What an interrupted command leaves behind."""
+    """Describe the state that an interrupted command leaves behind."""
     if arguments.command == "recover":
         from l2p.io.state_files import state_path
 
@@ -57,7 +56,7 @@ def _left(arguments: argparse.Namespace) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that complains in one line, without the usage."""
+    """Parser that reports an error in one line, without the usage."""
 
     def error(self, message: str) -> NoReturn:
         _complain(f"{message} (see {self.prog} --help)")
@@ -239,7 +238,7 @@ def _add_demo(commands: Any) -> None:
 
 
 def _seed(word: str) -> int:
-    """A number that random generators take and files hold."""
+    """Parse a seed that random generators accept and files can hold."""
     value = int(word) if word.strip().isdecimal() else -1
     if not 0 <= value < 2**63:
         raise argparse.ArgumentTypeError(f"got {word}; expected 0 to 2^63 - 1")

@@ -1,4 +1,4 @@
-"""What the commands of ``l2p`` share: outputs that are checked first, figures as JSON, threads."""
+"""Helpers shared by the commands of ``l2p``: early checks of outputs, figures as JSON, threads."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from l2p.io.atomic import atomic_file, check_file
 
 
 def check_outputs(inputs: list[str], outputs: list[str | None], force: bool) -> None:
-    """Refuse, before any work, outputs that must not be written, or that are inputs or each other."""
+    """Refuse, before any work, outputs that cannot be written, are also inputs, or are given twice."""
     taken = {os.path.realpath(path) for path in inputs}
     for path in outputs:
         if path is None:
@@ -31,7 +31,7 @@ def file_of(json_path: str | None) -> str | None:
 
 @contextmanager
 def figures_file(arguments: Namespace, figures: dict[str, Any]) -> Iterator[None]:
-    """Write the figures where --json says, once what the block writes is in place."""
+    """Write the figures to the file of --json, after the block has written its own output."""
     text = json.dumps(figures, indent=2) + "\n"
     if arguments.json in (None, "-"):
         yield

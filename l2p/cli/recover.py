@@ -1,4 +1,4 @@
-"""``l2p recover``: by one process, or by several that share the lines; from the start, or from a finished round."""
+"""Command ``l2p recover``: on one process, or on several ranks; from the start, or from a finished round."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from l2p.attacks.attack import Attack
     from l2p.work.processes import Place
 
-#: More processes than any machine has cores.
+#: Most processes to start, a limit on typing errors: more than the cores of any machine.
 MOST_PROCESSES = 1024
 
 
 def recover(arguments: Namespace) -> None:
-    """``l2p recover``: alone, by processes that are started here, or as one of those that were started elsewhere."""
+    """Run ``l2p recover`` alone, on ranks that are started here, or as one of the ranks of an external launcher."""
     from l2p.work.processes import among_others, joined, launch
 
     if arguments.processes not in (None, 1) and not among_others():
@@ -55,7 +55,7 @@ def recover(arguments: Namespace) -> None:
 
 
 def _recover(arguments: Namespace, place: Place) -> None:
-    """What the first process does."""
+    """Run the attack on rank 0, and write the result."""
     from l2p.attacks.run import run
     from l2p.work.work import Work
 
@@ -86,7 +86,7 @@ def _recover(arguments: Namespace, place: Place) -> None:
 
 @contextmanager
 def _rounds_left(state: StateFile) -> Iterator[None]:
-    """Say of an output that cannot be written that the work is not lost."""
+    """Add to the error of an output that cannot be written that the finished rounds are saved."""
     try:
         yield
     except InputError as error:
@@ -96,7 +96,7 @@ def _rounds_left(state: StateFile) -> Iterator[None]:
 
 
 def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments: Namespace) -> None:
-    """The recovery, filtered, and its figures."""
+    """Write the recovery, filtered, and its figures."""
     recovery = _filtered(recovery, arguments.min_confidence, arguments.clean)
     kept = len(recovery) if recovery.kept is None else int(recovery.kept.sum())
     stats = {
@@ -112,7 +112,7 @@ def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments:
 
 
 def _check_recover(arguments: Namespace) -> None:
-    """Everything that can be refused before the lines are read."""
+    """Refuse wrong arguments before the lines are read."""
     model_output = _model_output(arguments)
     given = (arguments.lines, arguments.model, arguments.truth, arguments.checkpoint)
     inputs = [path for path in given if path is not None]
@@ -132,7 +132,7 @@ def _check_recover(arguments: Namespace) -> None:
 
 
 def _model_output(arguments: Namespace) -> bool:
-    """Whether -o asks for a COLMAP model."""
+    """Whether the output is a COLMAP model."""
     ending = Path(arguments.output).suffix.lower()
     both = arguments.model is not None and arguments.truth is not None
     neither = arguments.model is None and arguments.truth is None
@@ -148,14 +148,14 @@ def _model_output(arguments: Namespace) -> bool:
 
 
 def _attack(arguments: Namespace) -> Attack:
-    """The attack that was asked for."""
+    """Build the attack from the arguments."""
     from l2p.attacks.named import named_attack
 
     return named_attack(arguments.method, **settings_of(arguments))
 
 
 def _recover_inputs(arguments: Namespace) -> tuple[LineCloud, Int[np.ndarray, " lines"] | None]:
-    """The lines, and for a COLMAP model the point id behind each."""
+    """Read the lines and, for a COLMAP model, the point id behind each."""
     lines = load_lines(arguments.lines)
     if arguments.model is None:
         return lines, None
@@ -170,7 +170,7 @@ def _recover_inputs(arguments: Namespace) -> tuple[LineCloud, Int[np.ndarray, " 
 
 
 def _filtered(recovery: Recovery, min_confidence: float | None, clean: bool) -> Recovery:
-    """The recovery with the points marked that pass the filters that were asked for."""
+    """Mark the points of the recovery that pass the given filters."""
     if min_confidence is None and not clean:
         return recovery
     kept = recovery.confidence >= (min_confidence or 0.0)

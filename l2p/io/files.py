@@ -1,4 +1,4 @@
-"""One door for all files: ``load`` whatever a path holds, ``save`` whatever there is to keep."""
+"""Entry point to all files: ``load`` reads any kind from a path, ``save`` writes any kind."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def load(path: str | PathLike[str], expected: type[Any] | None = None) -> Any:
     path : path
         A COLMAP model folder, PLY, npz, OBJ or text file (``docs/formats.md``).
     expected : type, optional
-        ``Scene``, ``LineCloud``, ``Recovery`` or ``Truth``, to refuse everything else.
+        ``Scene``, ``LineCloud``, ``Recovery`` or ``Truth``; any other kind is refused.
 
     Raises
     ------
@@ -76,10 +76,10 @@ def save(thing: Scene | LineCloud | Recovery | Truth, path: str | PathLike[str],
     Raises
     ------
     InputError
-        If the ending of ``path`` names no format for this kind of thing, the file exists (without ``overwrite``), or
-        it cannot be written.
+        If no format of this kind of data has the ending of ``path``, the file exists (without ``overwrite``), or it
+        cannot be written.
     TypeError
-        If ``thing`` is none of these.
+        If ``thing`` is of none of these types.
     """
     if isinstance(thing, LineCloud):
         save_lines(thing, path, overwrite=overwrite)

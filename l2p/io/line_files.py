@@ -1,4 +1,4 @@
-"""Line clouds in files: the npz of ``docs/formats.md``, PLY and OBJ line sets, and text of point + direction."""
+"""Files of line clouds: the npz of ``docs/formats.md``, PLY and OBJ line sets, and text of point + direction."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb
 from l2p.io.text_lines import read_obj_segments, read_text_rows
 from l2p.maps.lines import LineCloud
 
-#: Version of the npz line cloud that is written; older ones stay readable.
+#: Version of written npz line clouds; older ones stay readable.
 LINE_VERSION = 1
 
-#: Line sets other than l2p's own do not say how their directions were drawn.
+#: Scheme of line sets from other programs, which do not state how their directions were drawn.
 FOREIGN_SCHEME = "unknown"
 
-#: Half the length of a drawn line, in median distances of the lines from their centre.
+#: Half the length of a drawn line, in units of the median distance of the lines from their centre.
 HALF_LENGTH = 3.0
 
 
 def load_lines(path: str | PathLike[str]) -> LineCloud:
-    """Read a line cloud, whatever its file is called: npz, PLY or OBJ line set, text of point + direction.
+    """Read a line cloud, whatever the file name: npz, PLY or OBJ line set, text of point + direction.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     InputError
-        If it is damaged, of another kind, or its lines are not lines; the sentence names the file.
+        If it is damaged, of another kind, or its lines are invalid; the message names the file.
     """
     kind = kind_of(path)
     if kind not in LINE_CLOUDS:
@@ -47,10 +47,10 @@ def load_lines(path: str | PathLike[str]) -> LineCloud:
         Kind.LINES_TEXT: _read_text,
     }
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused as not finite
+        with np.errstate(over="ignore", invalid="ignore"):  # overflows are refused as not finite
             cloud = readers[kind](path)
     except InputError as error:
-        # The rules of LineCloud know no file; everything else has named it already.
+        # Errors of LineCloud do not name the file; all others do.
         raise error if str(path) in str(error) else InputError(f"{path}: {error}") from error
     if len(cloud) == 0:
         raise InputError(f"{path} has no lines; expected at least one")
@@ -60,7 +60,7 @@ def load_lines(path: str | PathLike[str]) -> LineCloud:
 def save_lines(cloud: LineCloud, path: str | PathLike[str], *, overwrite: bool = False) -> None:
     """Write a line cloud as npz, or as PLY or OBJ line set to look at, by the ending of ``path``.
 
-    The lines are written as they are: hiding which point is behind which line is the work of :func:`l2p.lift`.
+    The lines are written unchanged, in their order: only :func:`l2p.lift` hides which point is behind which line.
     """
     writers = {".npz": _npz_bytes, ".ply": _ply_bytes, ".obj": _obj_bytes}
     ending = line_ending(path)
@@ -69,7 +69,7 @@ def save_lines(cloud: LineCloud, path: str | PathLike[str], *, overwrite: bool =
 
 
 def line_ending(path: str | PathLike[str]) -> str:
-    """The ending of a line cloud to write; any but those that l2p writes is an InputError."""
+    """Return the ending of a line cloud to write; raise InputError if l2p does not write it."""
     ending = Path(path).suffix.lower()
     if ending not in (".npz", ".ply", ".obj"):
         raise InputError(f"{path} ends with {ending!r}; expected a line cloud to end with .npz, .ply or .obj")
@@ -77,10 +77,10 @@ def line_ending(path: str | PathLike[str]) -> str:
 
 
 def segments(cloud: LineCloud) -> tuple[Float[np.ndarray, "lines 3"], Float[np.ndarray, "lines 3"]]:
-    """Both ends of the piece of each line that is drawn, in scene units.
+    """Return both ends of the drawn segment of each line, in scene units.
 
-    Pieces are centred at the foot of the perpendicular from the centre of the lines (:class:`l2p.geometry.frame.Frame`)
-    and equally long, both computed from the lines alone, so they tell nothing that the lines do not.
+    Segments are centred at the foot of the perpendicular from the centre of the lines
+    (:class:`l2p.geometry.frame.Frame`) and equally long. Both follow from the lines alone and reveal nothing else.
     """
     from l2p.geometry.frame import Frame
 
@@ -140,7 +140,7 @@ def _through_segments(
         wrong = int(ends[outside][0])
         raise InputError(f"{path} has a line to vertex {wrong}; expected 0 to {len(vertex) - 1}, counted from 0")
     start, stop = vertex[ends[:, 0]].astype(np.float64), vertex[ends[:, 1]].astype(np.float64)
-    # Half of each end keeps the difference of two finite numbers finite.
+    # Half of each end: so the difference of two finite numbers is finite.
     return LineCloud.through(start, stop / 2 - start / 2, rgb, FOREIGN_SCHEME)
 
 

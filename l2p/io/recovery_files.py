@@ -1,4 +1,4 @@
-"""Recoveries in files: npz in the order of the lines, PLY with colour and confidence to look at."""
+"""Files of recoveries: npz in the order of the lines, PLY with colour and confidence for viewers."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, point_records
 from l2p.maps.recovery import Recovery
 
-#: Version of the npz recovery that is written; older ones stay readable. Version 1 did not say whether the confidence
-#: is calibrated: that of the learned attack is.
+#: Version of written npz recoveries; older ones stay readable. Version 1 did not record whether the confidence is
+#: calibrated: it is for the learned attack.
 RECOVERY_VERSION = 2
 
-#: Entries of ``Recovery.info`` that differ from run to run; they go to ``--json`` and not into the file, so that
-#: the same lines, seed and threads give the same bytes.
+#: Entries of ``Recovery.info`` that differ from run to run: written to ``--json`` but not to the file, so that the
+#: same lines, seed and threads give the same bytes.
 MEASURED = ("seconds", "peak_memory")
 
-# From dark blue (unsure) over green to yellow (sure); equal steps look about equal.
+# Colours from dark blue (low confidence) over green to yellow (high); equal steps look about equal.
 _COLOURS = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], dtype=np.float64)
 
 _NAMES = (
@@ -93,7 +93,7 @@ def load_recovery(path: str | PathLike[str]) -> Recovery:
 
 
 def confidence_colours(confidence: Float[np.ndarray, " points"]) -> UInt8[np.ndarray, "points 3"]:
-    """A colour for each confidence in [0, 1], from dark blue (0) to yellow (1)."""
+    """Colour of each confidence in [0, 1], from dark blue (0) to yellow (1)."""
     place = np.linspace(0, 1, len(_COLOURS))
     channels = [np.interp(confidence, place, _COLOURS[:, channel]) for channel in range(3)]
     return np.rint(np.stack(channels, axis=1)).astype(np.uint8)

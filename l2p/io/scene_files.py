@@ -1,4 +1,4 @@
-"""Scenes in files (COLMAP model, PLY, npz), and the truth that stays behind when a scene is lifted."""
+"""Files of scenes (COLMAP model, PLY, npz), and of the truth, which stays with the owner of a lifted scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb, point_reco
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
 
-#: Newest version of the truth file. Version 1, without ``element``, is written where row i is behind line i.
+#: Newest version of the truth file. Version 1, without ``element``, is written if row i is behind line i.
 TRUTH_VERSION = 2
 
 
@@ -46,7 +46,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
 
 
 def save_scene_ply(scene: Scene, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write the points, and their colours where known, as a binary PLY."""
+    """Write the points, and their colours if known, as a binary PLY."""
     with atomic_file(path, overwrite=overwrite) as file:
         file.write(ply_bytes({"vertex": point_records(scene.xyz, scene.rgb)}))
 
@@ -82,7 +82,7 @@ def save_truth(truth: Truth, path: str | PathLike[str], *, overwrite: bool = Fal
 
 
 def truth_bytes(truth: Truth) -> bytes:
-    """The truth npz."""
+    """Encode a truth as npz."""
     if truth.spacing is None:
         raise InputError(
             "got a truth without a spacing; measure that of the whole map first: "

@@ -1,4 +1,4 @@
-"""How good a recovery is: errors, confidence, neighbours, bounds."""
+"""Figures of merit of a recovery: errors, confidence, neighbours, bounds."""
 
-#: Neighbours and standard deviations of each pass of the outlier removal (Chelani et al., CVPR 2021, reference code).
+#: Neighbours, and limit in standard deviations, of each pass of outlier removal (code of Chelani et al., CVPR 2021).
 CLEANING = ((50, 2.0), (25, 2.0))

@@ -1,7 +1,7 @@
-"""How far a recovery is from the truth, in scene units and in spacings.
+"""Errors of a recovery against the truth, in scene units and in spacings.
 
 *Spacing* is the median distance to the 50th neighbour in the **full** true cloud, also when only a fraction of it was
-lifted: figures at different densities then share one unit.
+lifted: figures at different densities then have the same unit.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from l2p.judging.neighbours import right_neighbors
 from l2p.maps.recovery import Recovery
 from l2p.maps.truth import Truth
 
-#: Thresholds of the shares, in spacings.
+#: Error thresholds of the reported shares, in spacings.
 SPACINGS = (0.25, 0.5, 1.0, 2.0, 5.0)
-#: Thresholds of the shares of a metric scene, in centimetres.
+#: Error thresholds of the reported shares in a metric scene, in centimetres.
 CENTIMETRES = (1.0, 2.5, 5.0, 10.0, 25.0, 50.0)
-#: A spacing is the distance to this neighbour: Chelani et al. (CVPR 2021) count as many true neighbours.
+#: Rank of the neighbour that defines the spacing: the number of true neighbours in Chelani et al. (CVPR 2021).
 SPACING_NEIGHBOR = 50
 
 
@@ -33,7 +33,7 @@ def spacing(points: Float[np.ndarray, "points 3"]) -> float:
     Raises
     ------
     InputError
-        If more than half of the points coincide with 50 others, or there is one point only: there is no scale.
+        If there is no scale: more than half of the points coincide with 50 others, or there is only one point.
     """
     points = finite_rows("points", points)
     distance = nearest_neighbors(points, SPACING_NEIGHBOR).distance
@@ -44,11 +44,11 @@ def spacing(points: Float[np.ndarray, "points 3"]) -> float:
 
 
 def matched(recovery: Recovery, truth: Truth) -> Int[np.ndarray, " points"]:
-    """The recovered row of each true point, -1 for none: of its own element, and no row twice.
+    """Recovered row of each true point, from its own element, no row twice; -1 for none.
 
     Notes
     -----
-    Where an element has several points or rows, they are matched with the least total distance.
+    If an element has several points or rows, they are matched with the least total distance.
     """
     if recovery.one_each and truth.one_each:
         return np.where(truth.element < len(recovery), truth.element, -1)
@@ -69,7 +69,7 @@ def matched(recovery: Recovery, truth: Truth) -> Int[np.ndarray, " points"]:
 def _assigned(
     true: Float[np.ndarray, "points 3"], recovered: Float[np.ndarray, "rows 3"], rows: Int[np.ndarray, " own"]
 ) -> Int[np.ndarray, " points"]:
-    """The row of each point of one element, -1 for none."""
+    """Recovered row of each point of one element, -1 for none."""
     from scipy.optimize import linear_sum_assignment
 
     distance = np.linalg.norm(true[:, None] - recovered[rows], axis=2)
@@ -82,10 +82,10 @@ def _assigned(
 def errors(
     recovered: Recovery | Float[np.ndarray, "rows 3"], truth: Truth | Float[np.ndarray, "points 3"]
 ) -> Float[np.ndarray, " points"]:
-    """Distance of each true point from the recovered one that is matched with it, scene units.
+    """Distance of each true point from its matched recovered point, scene units.
 
-    Infinite for a point whose element has no recovered row left. Recovered rows of fakes count nowhere. In bare arrays
-    row i is of element i.
+    Infinite for a point whose element has no recovered row left. Recovered rows of fakes are ignored. In bare arrays,
+    row i belongs to element i.
     """
     recovery, true = _recovery(recovered), _truth(truth)
     return _distance(recovery, true, matched(recovery, true))
@@ -93,20 +93,20 @@ def errors(
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A recovery beside the truth, point by point.
+    """A recovery compared with the truth, point by point.
 
     Attributes
     ----------
     recovery : Recovery
     truth : Truth
     spacing : float
-        Of the full true cloud, scene units.
+        Spacing of the full true cloud, scene units.
     row : (points,) int64
         Recovered row of each true point, -1 for none (:func:`matched`).
     error : (points,) float64
-        Scene units, infinite where there is no row.
+        Error in scene units, infinite where there is no row.
     confidence : (points,) float32
-        Of the recovered row, 0 where there is none.
+        Confidence of the recovered row, 0 where there is none.
     metric : bool
         The scene is in metres.
     """
@@ -121,7 +121,7 @@ class Outcome:
 
     @property
     def inside(self) -> Bool[np.ndarray, " points"]:
-        """Which points are within 1 spacing."""
+        """Mask of the points within 1 spacing."""
         return self.error <= self.spacing
 
     @property
@@ -131,7 +131,7 @@ class Outcome:
 
     @cached_property
     def right(self) -> Bool[np.ndarray, "lines k"] | None:
-        """Which neighbours are true; None without neighbours, and where lines hide two points or none."""
+        """Mask of the true neighbours; None without neighbours, or if some line does not hide exactly one point."""
         if self.recovery.neighbors is None or not (self.recovery.one_each and self.truth.one_each):
             return None
         return right_neighbors(self.recovery.neighbors, self.truth.xyz)
@@ -143,7 +143,7 @@ def compare(
     spacing: float | None = None,
     metric: bool = False,
 ) -> Outcome:
-    """Put a recovery beside the truth; see :func:`l2p.evaluate`."""
+    """Compare a recovery with the truth; see :func:`l2p.evaluate`."""
     true = _truth(truth)
     if recovery.one_each and true.one_each and len(true) != len(recovery):
         raise InputError(

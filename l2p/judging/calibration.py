@@ -1,4 +1,4 @@
-"""What a confidence is worth: risk among the most confident points, calibration, and ranking."""
+"""Quality of a confidence: risk among the most confident points, calibration, and ranking."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-#: Bins of equally many points in a reliability diagram and in the calibration error.
+#: Number of bins, with equally many points each, of the reliability diagram and the calibration error.
 BINS = 15
 
 
@@ -24,7 +24,7 @@ class Reliability(NamedTuple):
 
 
 def most_confident(confidence: Float[np.ndarray, " points"], inside: Bool[np.ndarray, " points"], parts: int) -> float:
-    """Share within 1 spacing among the most confident of ``parts`` equal parts, rounded up to a point."""
+    """Share within 1 spacing in the most confident of ``parts`` equal parts, its size rounded up."""
     order = np.argsort(-confidence, kind="stable")
     return float(inside[order[: -(-len(order) // parts)]].mean())
 
@@ -32,7 +32,7 @@ def most_confident(confidence: Float[np.ndarray, " points"], inside: Bool[np.nda
 def risk_coverage(
     confidence: Float[np.ndarray, " lines"], inside: Bool[np.ndarray, " lines"]
 ) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, " lines"]]:
-    """Coverage (share of lines kept, most confident first) and risk (share of the kept outside 1 spacing)."""
+    """Coverage (share of lines kept, most confident first) and risk (share of the kept lines outside 1 spacing)."""
     order = np.argsort(-confidence, kind="stable")
     kept = np.arange(1, len(order) + 1)
     return kept / len(order), np.cumsum(~inside[order]) / kept
@@ -41,7 +41,7 @@ def risk_coverage(
 def reliability(
     confidence: Float[np.ndarray, " lines"], inside: Bool[np.ndarray, " lines"], bins: int = BINS
 ) -> Reliability:
-    """The reliability diagram of a confidence, in ``bins`` bins (as many as lines, if these are fewer)."""
+    """Reliability diagram of a confidence, in ``bins`` bins (one per line, if there are fewer lines)."""
     order = np.argsort(confidence, kind="stable")
     parts = np.array_split(order, min(bins, len(order)))
     return Reliability(
@@ -58,7 +58,10 @@ def calibration_error(confidence: Float[np.ndarray, " lines"], inside: Bool[np.n
 
 
 def ranking(confidence: Float[np.ndarray, " lines"], inside: Bool[np.ndarray, " lines"]) -> float | None:
-    """Area under the ROC curve: how often a line within 1 spacing is surer than one outside; None without both."""
+    """Area under the ROC curve: probability that a line within 1 spacing has a greater confidence than one outside.
+
+    None if all lines are within, or all outside.
+    """
     from scipy.stats import rankdata
 
     right = int(inside.sum())

@@ -10,11 +10,11 @@ from l2p.judging import CLEANING
 
 
 def inliers(xyz: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
-    """The points that survive both passes: those not much farther from their neighbours than is usual.
+    """Mask of the points that pass twice: their mean distance to their neighbours is not unusually large.
 
     Notes
     -----
-    Fewer than three points have no usual distance: all are kept.
+    Fewer than three points are all kept: they have no usual distance.
     """
     open3d = load_open3d()
     kept = np.arange(len(xyz))

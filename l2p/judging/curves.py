@@ -1,4 +1,4 @@
-"""The curves of a recovery, measured or predicted: error distribution, risk-coverage, calibration, neighbours."""
+"""Curves of a recovery, measured or predicted: error distribution, risk-coverage, calibration, neighbours."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from l2p.judging.calibration import reliability, risk_coverage
 from l2p.judging.neighbours import affinity_precision
 from l2p.maps.recovery import Recovery
 
-#: Errors at which their distribution is given, in spacings.
+#: Errors at which their distribution is sampled, in spacings.
 THRESHOLDS = np.geomspace(0.01, 100, 81)
-#: Errors that are drawn, in spacings: below lies the noise of a map, above any place in the scene.
+#: Least and greatest error drawn, in spacings: smaller ones are noise of the map, larger ones could be anywhere.
 SHOWN = (0.02, 30)
-#: Shares of the points, or of the neighbours, at which curves are given: the most confident, the most affine first.
+#: Shares of the points (most confident first) or neighbours (greatest affinity first) at which curves are sampled.
 SHARES = np.arange(1, 101) / 100
 
 
 @dataclass(frozen=True)
 class Curves:
-    """What the figures of an audit show; all plain numbers, shares in [0, 1].
+    """Curves in the figures of an audit; all plain numbers, shares in [0, 1].
 
     Attributes
     ----------
     within : list of float
-        Share of points with an error of at most each of :data:`THRESHOLDS`; empty where the truth is not known.
+        Share of points with an error of at most each of :data:`THRESHOLDS`; empty if the truth is not known.
     risk : list of float
-        Among the most confident points, as many as each of :data:`SHARES` says, the share more than 1 spacing off;
-        the expected share where the truth is not known; empty if there is neither.
+        Share with an error above 1 spacing among the most confident points, at each of :data:`SHARES`; the expected
+        share if the truth is not known; empty if there is neither.
     claimed, right : list of float
-        In each bin of equally many points, from the least to the most confident, the mean confidence and the share
-        within 1 spacing; empty where the truth is not known or the confidence is no probability.
+        Mean confidence and share within 1 spacing in each bin of equally many points, the least confident first; empty
+        if the truth is not known or the confidence is no probability.
     """
 
     within: list[float]
@@ -43,12 +43,12 @@ class Curves:
     right: list[float]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for a JSON file."""
+        """Return plain values for a JSON file."""
         return asdict(self)
 
 
 def measured_curves(found: Outcome) -> Curves:
-    """The curves of a recovery whose truth is known."""
+    """Curves of a recovery whose truth is known."""
     within, risk = distribution(found.spacings), sampled_risk(found.confidence, found.inside)
     bins = reliability(found.confidence, found.inside) if found.recovery.calibrated else None
     claimed, right = ([], []) if bins is None else (bins.confidence.tolist(), bins.inside.tolist())
@@ -56,7 +56,7 @@ def measured_curves(found: Outcome) -> Curves:
 
 
 def predicted_curves(recovery: Recovery) -> Curves:
-    """What a calibrated confidence predicts without the truth; nothing if it only ranks."""
+    """Curves that a calibrated confidence predicts without the truth; empty if it only ranks."""
     if not recovery.calibrated:
         return Curves([], [], [], [])
     ordered = np.sort(recovery.confidence.astype(np.float64))[::-1]
@@ -64,19 +64,19 @@ def predicted_curves(recovery: Recovery) -> Curves:
 
 
 def distribution(error: Float[np.ndarray, " points"]) -> Float[np.ndarray, " thresholds"]:
-    """Share of the errors (spacings) within each of ``THRESHOLDS``."""
+    """Share of errors (spacings) within each of ``THRESHOLDS``."""
     return np.searchsorted(np.sort(error), THRESHOLDS, side="right") / len(error)
 
 
 def sampled_risk(
     confidence: Float[np.ndarray, " points"], inside: Bool[np.ndarray, " points"]
 ) -> Float[np.ndarray, " shares"]:
-    """Share of points beyond 1 spacing among the most confident share, at each of ``SHARES``."""
+    """Share of points outside 1 spacing among the most confident points, at each of ``SHARES``."""
     return _at_shares(risk_coverage(confidence, inside)[1])
 
 
 def sampled_precision(recovery: Recovery, right: Bool[np.ndarray, "lines k"]) -> Float[np.ndarray, " shares"]:
-    """Share of true ones among the most affine share of all neighbours, at each of ``SHARES``."""
+    """Precision of the neighbours with the greatest affinity, at each of ``SHARES``."""
     assert recovery.neighbors is not None
     used = recovery.neighbors >= 0
     affinity = np.ones(used.shape) if recovery.affinity is None else recovery.affinity
@@ -84,5 +84,5 @@ def sampled_precision(recovery: Recovery, right: Bool[np.ndarray, "lines k"]) ->
 
 
 def _at_shares(risk: Float[np.ndarray, " points"]) -> Float[np.ndarray, " shares"]:
-    """The risk at each of ``SHARES``, rounded up to a point."""
+    """Risk at each of ``SHARES``, the number of points rounded up."""
     return risk[np.ceil(SHARES * len(risk) - 1e-9).astype(int) - 1]

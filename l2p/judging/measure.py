@@ -1,6 +1,6 @@
-"""The figures of merit, each declared once: tables, pages, CSV and JSON read them from here.
+"""Figures of merit, each declared once: tables, pages, CSV and JSON read them from here.
 
-To add one, write a :class:`Measure` and enter it in ``MEASURES``.
+To add one, write a :class:`Measure` and list it in ``MEASURES``.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from l2p.judging.accuracy import CENTIMETRES, SPACINGS, Outcome
 from l2p.judging.calibration import calibration_error, most_confident, ranking
 from l2p.judging.neighbours import neighbor_scores
 
-#: Errors of 0 (points that coincide) must not make a geometric mean 0.
+#: Least value in a geometric mean, so that an error of 0 (points that coincide) does not make it 0.
 LEAST = 1e-6
 
 Value = float | None
 
 
 def geometric_mean(values: Sequence[Any]) -> float:
-    """Of positive numbers."""
+    """Geometric mean of positive numbers."""
     return float(np.exp(np.log(np.maximum(values, LEAST)).mean()))
 
 
 def arithmetic_mean(values: Sequence[Any]) -> float:
-    """Of any numbers."""
+    """Arithmetic mean of any numbers."""
     return float(np.mean(values))
 
 
 class Form(Enum):
-    """The kind of number that a figure is; every table prints a kind in its own way."""
+    """Kind of number of a figure; every table prints a kind in its own way."""
 
     COUNT = auto()
     LENGTH = auto()  # scene units
@@ -43,12 +43,12 @@ class Form(Enum):
 
 
 class Need(Enum):
-    """What a figure cannot be measured without."""
+    """Requirement of a figure; without it, the figure is not measured."""
 
     CALIBRATED = auto()  # a confidence that is a probability
     RANKS = auto()  # a confidence that differs from point to point
     METRIC = auto()  # a scene in metres
-    NEIGHBORS = auto()  # the neighbours that an attack used, of lines that hide a point each
+    NEIGHBORS = auto()  # the neighbours that an attack used, and lines that hide one point each
 
 
 @dataclass(frozen=True)
@@ -63,19 +63,19 @@ class Figure:
         Row of a table of figures.
     form : Form
     pool : function
-        From the figures of several scenes to one.
+        Pools the figures of several scenes into one.
     need : Need or None
     group : (str, str) or None
-        Object and key of a JSON file that has the figures of a group in an object of their own.
+        Object and key in JSON files that nest the figures of a group.
     page : bool
-        Whether it is a column of an audit's page.
+        Whether it is a column on an audit's page.
     over, under : str
-        Heading of several columns of the page, and of this one below it, the key of its group when left out; without
-        ``over``, ``heading`` is that of the column.
+        Heading over several columns of the page, and heading of this column below it (default: the key of its group);
+        without ``over``, the column has ``heading``.
     note : str
-        A sentence for the page.
+        Sentence for the page.
     compared : str
-        Heading where methods are compared; empty: they are not compared by it.
+        Heading where methods are compared; empty if they are not compared by it.
     """
 
     name: str
@@ -98,19 +98,19 @@ class Figure:
 
 @dataclass(frozen=True)
 class Measure:
-    """Figures that are measured together, by name; ``of`` may leave out those whose need is not met."""
+    """Figures that are measured together; ``of`` returns them by name and may omit any whose need is not met."""
 
     figures: tuple[Figure, ...]
     of: Callable[[Outcome], Mapping[str, Value]]
 
 
 def figures() -> list[Figure]:
-    """Every figure, in the order of the tables."""
+    """List every figure, in the order of the tables."""
     return [figure for measure in MEASURES for figure in measure.figures]
 
 
 def measured(outcome: Outcome) -> dict[str, Value]:
-    """Every figure of a recovery by its name, None where its need is not met."""
+    """Measure every figure of a recovery, by name; None if its need is not met."""
     met = _met(outcome)
     found: dict[str, Value] = {}
     for measure in MEASURES:

@@ -1,4 +1,4 @@
-"""How right the neighbours are that an attack used, at its own k."""
+"""Precision of the neighbours that an attack used, at its own k."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from l2p.geometry.points import nearest_neighbors
 
 
 class NeighborScores(NamedTuple):
-    """Precision of the neighbours of an attack: true are the k_i nearest points, k_i as many as line i used.
+    """Precision of the neighbours of an attack: the true ones of line i are its k_i nearest points, if it used k_i.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class NeighborScores(NamedTuple):
 def right_neighbors(
     neighbors: Int[np.ndarray, "lines k"], truth: Float[np.ndarray, "lines 3"]
 ) -> Bool[np.ndarray, "lines k"]:
-    """Which neighbours of an attack (-1: none) are true: among the k_i nearest points, k_i as many as line i has."""
+    """Mask of the true neighbours of an attack (-1: none): among the k_i nearest points, if line i has k_i of them."""
     used = neighbors >= 0
     count = used.sum(axis=1)
     true = nearest_neighbors(truth, int(count.max(initial=0)))
@@ -50,7 +50,7 @@ def neighbor_scores(
 ) -> NeighborScores:
     """Precision of an attack's neighbours (-1: none) at its own k; see :class:`NeighborScores`.
 
-    ``right`` is what :func:`right_neighbors` gives, computed when left out.
+    ``right`` is the result of :func:`right_neighbors`, computed if left out.
     """
     right = right_neighbors(neighbors, truth) if right is None else right
     used = neighbors >= 0
@@ -66,11 +66,11 @@ def neighbor_scores(
 def affinity_precision(
     affinity: Float[np.ndarray, " pairs"], right: Bool[np.ndarray, " pairs"], shares: Float[np.ndarray, " shares"]
 ) -> Float[np.ndarray, " shares"]:
-    """Precision of the most affine share of all pairs; of pairs with equal affinity any may come first.
+    """Precision of the given shares of all pairs, greatest affinity first; pairs of equal affinity in any order.
 
     Notes
     -----
-    As many pairs are used as there are true ones (:func:`right_neighbors`): the recall at a share is share x precision.
+    There are as many pairs as true ones (:func:`right_neighbors`), so the recall at a share is share x precision.
     """
     order = np.argsort(-affinity, kind="stable")
     ends = np.flatnonzero(np.diff(affinity[order], append=-np.inf)) + 1

@@ -1,4 +1,4 @@
-"""What made a result: machine and versions."""
+"""Provenance of a result: machine and versions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from l2p.version import __version__
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores, memory and system."""
+    """Return processor, cores, memory and system."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
@@ -21,7 +21,7 @@ def machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions that results may depend on."""
+    """Return the versions that results may depend on."""
     import numpy
     import torch
 
@@ -34,7 +34,7 @@ def versions() -> dict[str, str]:
 
 
 def _memory() -> float | None:
-    """Main memory in GiB; None where the system does not tell."""
+    """Main memory in GiB; None if the system does not report it."""
     try:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
     except (AttributeError, OSError, ValueError):

@@ -1,7 +1,7 @@
-"""References that know the answer: what perfect neighbours, or the whole rest of the scene, would give.
+"""References that know the true points: results with perfect neighbours, or with all other points of the scene.
 
-They bound an attack from three sides (``docs/how-it-works.md``, "Bounds") and share its call, so that a table can
-hold them side by side. None of them is an attack: each is built from the true points.
+They bound an attack from three sides (``docs/how-it-works.md``, "Bounds") and have its interface, so that a table can
+compare them. None of them is an attack: each is built from the true points.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from l2p.geometry.points import nearest_neighbors
 from l2p.judging.accuracy import SPACING_NEIGHBOR
 from l2p.work.work import Work
 
-#: Kernel widths that the leave-one-out bound tries, in spacings.
+#: Kernel widths tried by the leave-one-out bound, in spacings.
 BANDWIDTHS = (0.125, 0.25, 0.5, 1.0)
 
 
 class Oracle(Attack):
-    """The k true nearest neighbours of each point, a share of them replaced by random lines (paper, figure 4).
+    """Votes of the k true nearest neighbours of each point, a share replaced by random lines (paper, figure 4).
 
     Parameters
     ----------
     points : (lines, 3)
         The true points in the order of the lines.
     k : int
-        Neighbours of each line.
+        Neighbours per line.
     outliers : float
-        Share of the k that is replaced by lines drawn at random, in [0, 1].
+        Share of the k neighbours that is replaced by random lines, in [0, 1].
     seed : int
-        Of the outliers.
+        Seed of the outliers.
 
     Notes
     -----
-    No ceiling: to know a point's nearest neighbours is to know something about the point itself.
+    It is not an upper bound for attacks: the nearest neighbours of a point reveal something about the point itself.
     """
 
     #: The confidence only ranks.
@@ -58,15 +58,15 @@ class Oracle(Attack):
         self.points, self.k, self.outliers, self.seed = finite_rows("points", points), k, outliers, seed
 
     def neighbors(self) -> Int[np.ndarray, "lines k"]:
-        """The neighbours, true ones and outliers."""
+        """Choose the neighbours, true ones and outliers."""
         neighbors = nearest_neighbors(self.points, self.k).index
         wrong = round(self.outliers * neighbors.shape[1])
         if wrong:
             rng = np.random.default_rng(self.seed)
-            # A draw from the others: shifting past self keeps it uniform.
+            # Drawn from the other lines: shifting past the own index keeps the draw uniform.
             drawn = rng.integers(0, len(neighbors) - 1, size=(len(neighbors), wrong))
             drawn += drawn >= np.arange(len(neighbors))[:, None]
-            # The nearest are kept or lost at random, not the far ones first.
+            # Outliers replace neighbours at random ranks, not the farthest first.
             place = np.argsort(rng.random(neighbors.shape), axis=1)[:, :wrong]
             np.put_along_axis(neighbors, place, drawn, axis=1)
         return neighbors
@@ -78,19 +78,19 @@ class Oracle(Attack):
         return vote(state.lines, neighbors, work=work)
 
     def settings(self) -> dict[str, Any]:
-        """k, share of outliers and seed."""
+        """Return k, share of outliers and seed."""
         return {"k": self.k, "outliers": self.outliers, "seed": self.seed}
 
 
 class CandidateOracle(Attack):
-    """Of the candidates that an attack looks at, the true neighbours: what its choice of candidates loses.
+    """Votes of the true neighbours among the candidates of an attack: the loss due to its choice of candidates.
 
     Parameters
     ----------
     points : (lines, 3)
         The true points in the order of the lines.
     attack : Attack
-        The attack whose final estimates give the candidates.
+        The attack whose final estimates determine the candidates.
     k : int
         A candidate counts as true if it is among the k nearest points.
     candidates : int
@@ -119,7 +119,7 @@ class CandidateOracle(Attack):
         return state[0], self.attack.step(state[1], work)
 
     def saved(self, state: tuple[Elements, Any]) -> Mapping[str, Tensor]:
-        """The tensors of the attack."""
+        """Return the tensors of the attack."""
         return self.attack.saved(state[1])
 
     def finish(self, state: tuple[Elements, Any], work: Work) -> Estimate:
@@ -134,23 +134,23 @@ class CandidateOracle(Attack):
         return estimate._replace(beta=torch.where(none, before.beta, estimate.beta))
 
     def settings(self) -> dict[str, Any]:
-        """k, candidates, and the attack's own settings."""
+        """Return k, candidates, and the attack's own settings."""
         return {"k": self.k, "candidates": self.candidates, "attack": self.attack.settings()}
 
 
 class LeaveOneOut(Attack):
-    """Every other point is known, and a line's own is put where their density along the line is greatest.
+    """Leave-one-out bound: each point is placed where the density of all other true points along its line is greatest.
 
-    A Gaussian kernel of one width for the whole scene; of ``BANDWIDTHS`` the one with the least median error is kept,
-    which the true points decide. It is what the rest of the scene tells about a point through a plain kernel: a
-    yardstick for attacks by geometry alone, which only a better prior (surfaces, edges, local scale) can pass.
+    The density is that of a Gaussian kernel with one width for the scene, the one of ``BANDWIDTHS`` with the least
+    median error against the true points. It is a yardstick for attacks by geometry alone: only a better prior
+    (surfaces, edges, local scale) can beat it.
 
     Parameters
     ----------
     points : (lines, 3)
         The true points in the order of the lines.
     k : int
-        Points nearest to the line that enter the density; the kernel reaches no farther in practice.
+        Number of points nearest to the line that enter the density; farther ones have no effect in practice.
     """
 
     #: The confidence only ranks.
@@ -161,7 +161,7 @@ class LeaveOneOut(Attack):
         self.points, self.k = finite_rows("points", points), k
 
     def finish(self, state: Elements, work: Work) -> Estimate:
-        """The mode of the density along each line, for the best of the kernel widths."""
+        """Find the mode of the density along each line, for the best of the kernel widths."""
         _check_count(state, self.points)
         lines, frame = state.lines, state.frame
         points = self.points[state.row.cpu().numpy()]
@@ -169,7 +169,7 @@ class LeaveOneOut(Attack):
         near = nearest_points_to_lines(lines, truth, self.k, work=work)
         true_beta = ((truth - lines.foot) * lines.direction).sum(dim=1)
         unit = nearest_neighbors(points, SPACING_NEIGHBOR).distance[:, -1:]
-        # The frame's unit, where one line or points in one place leave no scale of their own.
+        # One line, or points that coincide, have no scale: use the unit of the frame.
         scale = (float(np.median(unit)) / frame.unit if unit.size else 0.0) or 1.0
         best, least = None, torch.inf
         with work.task("leave-one-out density", len(near.index) * len(BANDWIDTHS)) as advance:
@@ -196,16 +196,16 @@ class LeaveOneOut(Attack):
         return Estimate(beta, share, near.index, weight)
 
     def settings(self) -> dict[str, Any]:
-        """Points per line and kernel widths."""
+        """Return points per line and kernel widths."""
         return {"k": self.k, "bandwidths": list(BANDWIDTHS)}
 
 
 def _mode(
     position: Float[Tensor, "lines k"], weight: Float[Tensor, "lines k"], width: float
 ) -> tuple[Float[Tensor, " lines"], Float[Tensor, " lines"]]:
-    """Greatest weighted kernel density over the positions themselves, moved uphill by mean shift; and its share."""
+    """Mode of the weighted kernel density, by mean shift from the densest position; and its share of the weight."""
     apart = (position[:, :, None] - position[:, None, :]) / width
-    # Denormal numbers are slow: nothing below e^-40 counts.
+    # Denormal numbers are slow: the kernel is at least e^-40.
     kernel = torch.exp((-0.5 * apart.square()).clamp_min_(-40))
     density = torch.bmm(kernel, weight[:, :, None]).squeeze(-1)
     highest, top = density.max(dim=1)
@@ -218,7 +218,7 @@ def _mode(
 
 
 def _in_order(neighbors: Int[np.ndarray, "lines k"], elements: Elements) -> Int[Tensor, "lines k"]:
-    """Neighbours by rows of the map, for lines in the order of their own."""
+    """Convert neighbours by rows of the map to neighbours in the order of the elements."""
     index = torch.as_tensor(neighbors, device=elements.row.device)
     return elements.row.argsort()[index[elements.row]]
 

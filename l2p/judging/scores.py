@@ -1,4 +1,4 @@
-"""The scores of a recovery: every figure of merit, measured against the truth."""
+"""Scores of a recovery: every figure of merit, measured against the truth."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from l2p.maps.truth import Truth
 
 @dataclass(frozen=True)
 class Scores:
-    """The figures of a recovery, each an attribute of its name; lengths in scene units unless they say spacings.
+    """Figures of a recovery, each an attribute; lengths in scene units unless the name says spacings.
 
     Attributes
     ----------
     figures : dict
-        Every figure by its name (:mod:`l2p.judging.measure`), None where there is none.
+        Every figure by name (:mod:`l2p.judging.measure`), None if it was not measured.
     lines : int
-        Number of true points, which is that of the lines unless some hide two points or none.
+        Number of true points; equal to the number of lines unless some hide two points or none.
     spacing : float
         Median distance to the 50th neighbour in the full true cloud.
     median, mean : float
-        Of the error.
+        Median and mean error.
     median_spacings : float
         Median error over the spacing.
     within_spacings, within_cm : dict
         Share of points within each threshold; ``within_cm`` is empty unless the scene is metric.
     confident_half, confident_quarter : float or None
-        Share within 1 spacing among the most confident half and quarter; None where all confidences are equal.
+        Share within 1 spacing among the most confident half and quarter; None if all confidences are equal.
     expected_within : float or None
-        Mean confidence, which is the share within 1 spacing that it predicts; None where it only ranks.
+        Mean confidence, the predicted share within 1 spacing; None if it only ranks.
     calibration_error : float or None
         Expected calibration error of the confidence as the probability of lying within 1 spacing, in 15 bins of
-        equal size; None where the confidence only ranks.
+        equal size; None if the confidence only ranks.
     confidence_auc : float or None
-        How often a point within 1 spacing has the greater confidence than one outside.
+        Probability that a point within 1 spacing has a greater confidence than one outside.
     neighbor_precision, under_half_outliers, neighbors_used : float or None
-        Of :class:`l2p.judging.neighbours.NeighborScores`; None without neighbours.
+        See :class:`l2p.judging.neighbours.NeighborScores`; None without neighbours.
     """
 
     figures: dict[str, Value]
@@ -56,7 +56,7 @@ class Scores:
         return {key: self.figures[own] for key, own in group.items() if self.figures[own] is not None}
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for a JSON file; None where there is no figure or no finite one."""
+        """Return plain values for a JSON file; None for a figure that is missing or not finite."""
         names = dict.fromkeys(figure.group[0] if figure.group else figure.name for figure in figures())
         values = {name: getattr(self, name) for name in names}
         return {name: None if value == np.inf else value for name, value in values.items()}
@@ -74,12 +74,12 @@ def evaluate(
     ----------
     recovery : Recovery
     truth : Truth or (lines, 3) array
-        True points; those of an array are in the order of the lines.
+        True points; an array is in the order of the lines.
     spacing : float, optional
-        Of the full true cloud, scene units. When left out, that of the truth; where this is not measured, that of the
+        Spacing of the full true cloud, scene units. Default: the one saved with the truth; without it, that of the
         true points, which is right only if all points were hidden.
     metric : bool
-        The scene is in metres: give the shares within centimetres, too.
+        The scene is in metres: shares within centimetres are measured, too.
 
     Returns
     -------
@@ -88,11 +88,11 @@ def evaluate(
     Raises
     ------
     InputError
-        If the truth has other lines than the recovery.
+        If truth and recovery are not of the same lines.
 
     Notes
     -----
-    Every true point counts once. One without a recovered row has an infinite error and confidence 0.
+    Every true point counts once. A point without a recovered row has an infinite error and confidence 0.
 
     Examples
     --------

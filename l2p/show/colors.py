@@ -1,4 +1,4 @@
-"""The colours of errors: small ones stand out from the paper, large ones sink into it."""
+"""Colours of errors: small errors stand out from the background, large ones fade into it."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from jaxtyping import Float
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Errors of this many spacings and more have one colour.
+#: Error in spacings from which on the colour is constant.
 ERROR_LIMIT = 2.0
-#: Share of the map that is used on white paper, where its last colours would be lost.
+#: Share of the colour map used on white, where its last colours would be invisible.
 _ON_WHITE = 0.9
 
 
 def error_colors(error: Float[np.ndarray, " points"], *, dark: bool) -> Float[np.ndarray, "points 4"]:
-    """A colour for each error (spacings), on dark or on white paper."""
+    """Colour of each error (spacings), for a dark or a white background."""
     return _error_map(dark)(np.clip(error / ERROR_LIMIT, 0, 1))
 
 
 def error_bar(figure: Figure, label: str, *, dark: bool, **place: Any) -> Any:
-    """The colour bar of the errors; ``place`` as of ``Figure.colorbar``."""
+    """Add the colour bar of the errors; ``place`` is passed to ``Figure.colorbar``."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 

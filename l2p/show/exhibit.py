@@ -1,4 +1,4 @@
-"""What there is to look at in a file or in one attack of an audit: points, lines, and what was recovered."""
+"""Visible content of a file or of one attack of an audit: points, lines, and recovered points."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
 from l2p.maps.lines import LineCloud
 
-#: The view holds this share of the points and this much around them: most maps have a middle and a far background.
+#: Share of the points that the view must show, and factor on its radius: most maps have a far background.
 _HELD, _MARGIN = 0.8, 1.3
 
 
 @dataclass(frozen=True, eq=False)
 class Exhibit:
-    """Layers of one cloud, each None where it is not known; all have the same rows.
+    """Layers of one cloud, each None if it is not known; all have the same rows.
 
     Attributes
     ----------
@@ -32,13 +32,13 @@ class Exhibit:
     rgb : (rows, 3) uint8 or None
         Colours of the points.
     confidence : (rows,) float32 or None
-        Of the recovered points.
+        Confidence of the recovered points.
     calibrated : bool
-        The confidence is a probability, and does not only rank.
+        Whether the confidence is a probability (otherwise, it only ranks).
     error : (rows,) float64 or None
-        Of the recovered points, in spacings.
+        Errors of the recovered points, in spacings.
     camera_centers : (cameras, 3) float64 or None
-        Scene units.
+        Camera centres, scene units.
     """
 
     points: Float[np.ndarray, "rows 3"] | None = None
@@ -52,12 +52,12 @@ class Exhibit:
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Exhibit:
-        """What there is to look at in a file: a scene, a truth, a line cloud or a recovery.
+        """Load the layers of a file: a scene, a truth, a line cloud or a recovery.
 
         Raises
         ------
         FileNotFoundError, InputError
-            As the reader of that kind of file; a checkpoint has nothing to look at.
+            As for the reader of that kind of file; a checkpoint cannot be shown.
         """
         kind = kind_of(path)
         if kind in LINE_CLOUDS:

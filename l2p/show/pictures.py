@@ -24,11 +24,11 @@ FAINT = "#98a2b3"
 FRAME = "#4a5568"
 LINE_DARK, LINE_LIGHT = np.array([[0.18, 0.32, 0.62], [0.85, 0.93, 1.0]])
 
-#: Azimuth and elevation of the camera, radians: above the corner of largest x and least y, to show the other two walls.
+#: Azimuth and elevation of the camera, radians: above the corner of largest x and least y, to show the opposite walls.
 VIEW = (np.radians(-52), np.radians(36))
-#: Distance of the camera over the diagonal of the box: far enough for a mild perspective.
+#: Distance of the camera / diagonal of the box: large enough for a mild perspective.
 DISTANCE = 1.5
-#: Diameter of a point in the box's middle, in printer's points (1/72 inch).
+#: Diameter of a point in the middle of the box, in typographic points (1/72 inch).
 POINT_SIZE = 2.1
 
 
@@ -41,12 +41,12 @@ class Box:
 
     @classmethod
     def of_room(cls, scene: Scene) -> Box:
-        """The filmed room without the view through its windows; needs z up.
+        """Box of the filmed room, without the view through its windows; needs z up.
 
         Notes
         -----
-        Walls and floor are the outermost slabs that hold many points, at most ``reach`` from the cameras. Ceilings
-        show few points and drop out, which opens the view from above.
+        Walls and floor are the outermost slabs with many points, at most ``reach`` from the cameras. Ceilings have few
+        points and drop out, which opens the view from above.
         """
         slab, share, reach = 0.1, 0.004, 4.0
         eyes = scene.xyz if scene.camera_centers is None else scene.camera_centers
@@ -65,11 +65,11 @@ class Box:
         return _inside(points, self.low, self.high)
 
     def segments(self, lines: LineCloud) -> Float[np.ndarray, "segments 2 3"]:
-        """Segments of the lines inside the box; lines that miss it are left out."""
+        """Return the segments of the lines inside the box; lines that miss it are left out."""
         with np.errstate(divide="ignore", invalid="ignore"):
             to_low = (self.low - lines.origin) / lines.direction
             to_high = (self.high - lines.origin) / lines.direction
-        # A line within a face gives 0 / 0 there, which fmin and fmax ignore.
+        # A line within a face gives 0 / 0, which fmin and fmax ignore.
         enter = np.fmin(to_low, to_high).max(axis=1)
         leave = np.fmax(to_low, to_high).min(axis=1)
         hit = enter < leave
@@ -77,7 +77,7 @@ class Box:
         return np.stack(ends, axis=1)
 
     def edges(self) -> Float[np.ndarray, "edges 2 3"]:
-        """The edges of the floor and of the two walls that the camera sees from inside."""
+        """Return the edges of the floor and of the two walls that the camera sees from inside."""
         corners = np.array(list(product((0, 1), repeat=3)))
         pairs = [(a, b) for a, b in combinations(corners, 2) if np.abs(a - b).sum() == 1]
         seen = [pair for pair in pairs if _on_seen_face(*pair)]
@@ -93,7 +93,7 @@ class Camera:
 
     @classmethod
     def above(cls, box: Box) -> Camera:
-        """The camera that looks into the box from above."""
+        """Place a camera that looks into the box from above."""
         azimuth, elevation = VIEW
         across = np.cos(elevation)
         forward = -np.array([np.cos(azimuth) * across, np.sin(azimuth) * across, np.sin(elevation)])
@@ -156,7 +156,7 @@ def draw_attack(
 
 
 def _panels(captions: Captions, edges: Float[np.ndarray, "edges 2 2"]) -> tuple[Figure, list[Axes]]:
-    """A figure with three titled panels that show the edges of the room."""
+    """Create a figure with three titled panels that show the edges of the room."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
@@ -185,7 +185,7 @@ def _panels(captions: Captions, edges: Float[np.ndarray, "edges 2 2"]) -> tuple[
 def draw_points(
     panel: Axes, camera: Camera, points: Float[np.ndarray, "points 3"], color: np.ndarray, size: float = POINT_SIZE
 ) -> None:
-    """Draw dots from far to near, the nearer the larger; ``size`` is the diameter at the median depth, in points."""
+    """Draw dots from far to near, larger when nearer; ``size`` is the diameter at the median depth, in points."""
     position, depth = camera.project(points)
     order = np.argsort(-depth)
     middle = float(np.median(depth)) if len(depth) else 1.0
@@ -194,7 +194,7 @@ def draw_points(
 
 
 def _draw_lines(panel: Axes, segments: Float[np.ndarray, "segments 2 2"]) -> None:
-    """Draw thin lines, more transparent the more there are; seven shades tell dense ones apart."""
+    """Draw thin lines, more transparent the more there are; seven shades make dense lines distinguishable."""
     from matplotlib.collections import LineCollection
 
     shade = np.linspace(0, 1, 7)[np.arange(len(segments)) % 7, None]
@@ -204,7 +204,7 @@ def _draw_lines(panel: Axes, segments: Float[np.ndarray, "segments 2 2"]) -> Non
 
 
 def _draw_scale(figure: Figure, label: str) -> None:
-    """The colour bar of the errors, under the third panel."""
+    """Add the colour bar of the errors, under the third panel."""
     place = figure.add_axes((0.735, 0.085, 0.19, 0.018))
     bar = error_bar(figure, label, dark=True, cax=place, orientation="horizontal")
     bar.ax.tick_params(colors=FAINT, labelsize=11.5, length=0)

@@ -1,4 +1,4 @@
-"""The viewpoint of a map: centre, radius and axes, with up guessed."""
+"""Viewpoint of a map: centre, radius and axes, with the up direction guessed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Stance:
 
     @classmethod
     def before(cls, exhibit: Exhibit) -> Stance:
-        """Choose the view of the points of the map; without them of the recovered ones, then of the lines."""
+        """Choose a view of the points of the map; without them, of the recovered points; else, of the lines."""
         points = exhibit.points if exhibit.points is not None else exhibit.recovered
         if points is None:
             from l2p.geometry.frame import Frame
@@ -46,7 +46,7 @@ class Stance:
         return places @ self.axes * self.radius + self.center
 
     def chords(self, lines: LineCloud, reach: float = 1.25) -> Float[np.ndarray, "chords 2 3"]:
-        """Chords of the lines in the ball of radius ``reach``, view coordinates; lines that miss it are left out."""
+        """Return the chords of lines in the ball of radius ``reach``, view coordinates; without lines that miss it."""
         origin, direction = self.enter(lines.origin), lines.direction @ self.axes.T
         along = -np.sum(origin * direction, axis=1, keepdims=True)
         nearest = origin + along * direction
@@ -59,8 +59,8 @@ class Stance:
 def _axes(points: Float[np.ndarray, "points 3"], cameras: Float[np.ndarray, "cameras 3"] | None) -> np.ndarray:
     """Rows right, forward, up.
 
-    Cameras are carried about level, so up is the direction in which their positions vary least; without cameras, that
-    of the points. If an axis of the scene is near, it is taken instead.
+    Cameras usually stay at one height, so up is the direction in which their positions vary least; without cameras,
+    the points are used. An axis of the scene close to this direction replaces it.
     """
     positions = points if cameras is None or len(cameras) < 3 else cameras
     up = np.linalg.eigh(np.cov(positions.T))[1][:, 0] if len(positions) > 2 else np.eye(3)[2]

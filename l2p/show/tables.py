@@ -1,4 +1,4 @@
-"""The tables that the command line prints."""
+"""Tables that the command line prints."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from l2p.judging.scores import Scores
 if TYPE_CHECKING:
     from l2p.attacks.learned.checkpoint import Checkpoint
 
-#: Columns of a wide table when stdout is no terminal, whose width would be taken for 80.
+#: Width of tables in characters when stdout is no terminal: the default of 80 is too narrow.
 FILE_WIDTH = 140
 
-#: How figures are printed.
+#: Format of each kind of figure.
 _FORMS = {Form.COUNT: "d", Form.LENGTH: ".4g", Form.SPACINGS: ".3f", Form.SHARE: ".1%", Form.NUMBER: ".3f"}
 
 
 def print_scores(columns: dict[str, Scores]) -> None:
-    """The figures of each column, on stdout."""
+    """Print the figures of each column to stdout."""
     table = Table(*("", *columns), title="error of the recovered points")
     for figure in figures():
         values = [scores.figures[figure.name] for scores in columns.values()]
@@ -43,12 +43,12 @@ def print_scores(columns: dict[str, Scores]) -> None:
 
 
 def print_info(path: str | PathLike[str]) -> None:
-    """What a file is, on stdout; of a checkpoint also what it was worth on the clouds that were held back.
+    """Print a description of a file to stdout; for a checkpoint, also its results on the held-back clouds.
 
     Raises
     ------
     FileNotFoundError, InputError
-        As the reader of that kind of file.
+        As for the reader of that kind of file.
     """
     kind = kind_of(path)
     table = Table("what", kind.value, title=escape(Path(path).name))
@@ -68,7 +68,7 @@ def print_info(path: str | PathLike[str]) -> None:
 
 
 def console() -> Console:
-    """Stdout, also when it is no terminal, wide enough for tables."""
+    """Return stdout as a console that is wide enough for tables, even if it is no terminal."""
     return Console(file=sys.stdout, width=None if sys.stdout.isatty() else FILE_WIDTH)
 
 
@@ -114,14 +114,14 @@ def _describe_recovery(path: str | PathLike[str]) -> list[tuple[str, str]]:
 
 
 def _checkpoint_of(settings: Any) -> list[tuple[str, str]]:
-    """The checkpoint of a recovery, if its method has one."""
+    """Describe the checkpoint of a recovery, if its method has one."""
     if not isinstance(settings, dict) or "checkpoint" not in settings:
         return []
     return [("checkpoint", f"{settings['checkpoint']} ({settings.get('digest', 'no digest')})")]
 
 
 def _describe_checkpoint(checkpoint: Checkpoint) -> list[tuple[str, str]]:
-    """Sizes, and what its facts say of the training; each fact may be missing."""
+    """Describe sizes and training of a checkpoint; each fact may be missing."""
     size, config, facts = checkpoint.network.config, checkpoint.config, checkpoint.facts
     scenes = facts.get("scenes")
     trained = {
@@ -141,7 +141,7 @@ def _describe_checkpoint(checkpoint: Checkpoint) -> list[tuple[str, str]]:
 
 
 def _held_back(results: Any) -> list[Table]:
-    """The table of the held-back line clouds; none where the training recorded none."""
+    """Table of the held-back line clouds; empty if the training recorded none."""
     rows = [row for row in results if isinstance(row, dict)] if isinstance(results, list) else []
     if not rows:
         return []
@@ -161,7 +161,7 @@ def _held_back(results: Any) -> list[Table]:
 
 
 def _figures(value: Any, form: Callable[[float], str]) -> str:
-    """A figure, or one for each round; what is no number stays as it is."""
+    """Format a figure, or one per round; anything but a number stays as it is."""
     if value is None:
         return "-"
     values = value if isinstance(value, list) else [value]

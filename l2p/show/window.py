@@ -1,4 +1,4 @@
-"""A window of Open3D that shows points or lines, for maps that are too large for a page."""
+"""Open3D window that shows points or lines, for maps that are too large for a page."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _POINT = np.array([60, 90, 140], dtype=np.uint8)
 
 
 def has_display() -> bool:
-    """Whether windows can be opened here."""
+    """Whether this machine can open windows."""
     return sys.platform in ("win32", "darwin") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
@@ -50,7 +50,7 @@ def _display() -> str:
 
 
 def _answers() -> bool:
-    """Whether a server listens at the display that the environment names."""
+    """Whether a server answers at the display named in the environment."""
     if sys.platform in ("win32", "darwin"):
         return True
     if os.environ.get("WAYLAND_DISPLAY"):
@@ -96,7 +96,7 @@ def show(exhibit: Exhibit, title: str) -> None:
 
 
 def _stand(camera: Any, geometry: Any, stance: Stance) -> None:
-    """Look at the middle of the map from above; Open3D's default view would fit the farthest point."""
+    """Aim the camera at the middle of the map from above; Open3D's default view would include the farthest point."""
     right, forward, up = stance.axes
     camera.set_lookat(stance.center)
     camera.set_up(up)
