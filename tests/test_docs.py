@@ -207,6 +207,8 @@ def check_python(arguments: list[str]) -> None:
         if len(overrides) < len(arguments[2:]):
             overrides = [re.sub(r"=([^\[,]+),.*", r"=\1", override) for override in overrides]
         composed(arguments[1], overrides)
+    elif (ROOT / f"{arguments[1].replace('.', '/')}.py").is_file():
+        return
     else:
         assert arguments[1] == "pytest" and all((ROOT / word).is_file() for word in arguments[2:] if word[0] != "-")
 
