@@ -85,8 +85,8 @@ class Taken:
 
 def hidden(xyz: Float[np.ndarray, "points 3"]) -> tuple[l2p.LineCloud, Float[np.ndarray, "lines 3"]]:
     """Lift points, with a fixed seed; return the line cloud, and the point behind each line."""
-    lines, index = l2p.lift_indexed(xyz, seed=0)
-    return lines, xyz[index]
+    hiding = l2p.hide(xyz, seed=0)
+    return hiding.map, hiding.truth.xyz
 
 
 def simulated(kind: str, count: int, folder: Path) -> Cloud:

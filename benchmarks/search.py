@@ -20,9 +20,9 @@ from unittest import mock
 import numpy as np
 import torch
 from harness import hidden, print_table
-from l2p.attacks.learned.features import nearest_estimates
 
 import l2p
+from l2p.attacks.learned.nodes import NodesConfig, neighborhood
 from l2p.geometry import nearest
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
@@ -43,11 +43,11 @@ def estimates(kind: str, count: int, strays: float) -> tuple[Lines, torch.Tensor
     frame = Frame.of(cloud)
     lines = frame.enter(cloud, torch.device("cpu"))
     true_beta = torch.linalg.vecdot(frame.enter_points(truth, torch.device("cpu")), lines.direction)
-    error = rng.normal(size=count) * nearest_estimates(lines, true_beta).scale.numpy()
+    error = rng.normal(size=count) * neighborhood(lines, true_beta, NodesConfig()).scale.numpy()
     astray = rng.random(count) < strays
     error[astray] = STRAY * rng.standard_cauchy(astray.sum())
     beta = true_beta + torch.as_tensor(error, dtype=true_beta.dtype)
-    return lines, lines.at(beta), nearest_estimates(lines, beta).scale.sqrt()
+    return lines, lines.at(beta), neighborhood(lines, beta, NodesConfig()).scale.sqrt()
 
 
 def bare(count: int, k: int) -> None:

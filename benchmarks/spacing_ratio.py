@@ -20,7 +20,7 @@ from l2p.judging.accuracy import spacing
 from l2p.programs.scenes import scene_at, scenes_of
 
 SHARES = (0.5, 0.25, 0.1, 0.05)
-HEADS = ("share of the points", "scenes", "log ratio", "deviation", "dimension", "assumed / measured", "deviation")
+HEADS = ("fraction of the points", "scenes", "log ratio", "deviation", "dimension", "assumed / measured", "deviation")
 #: Most points of a scene, to save time, and least points of a fraction, to have 50 neighbours.
 MOST, LEAST = 40_000, 100
 

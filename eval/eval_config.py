@@ -11,6 +11,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from eval.contenders import Contender, contenders_of
 from l2p.attacks.run import usable_device
+from l2p.checks import check_fraction
 from l2p.errors import InputError
 from l2p.work.threads import MOST_THREADS
 
@@ -95,8 +96,7 @@ def settings_of(config: DictConfig) -> Settings:
     for key in ("scenes", "methods", "fractions", "seeds", "steps"):
         _check_list(key, resolved[key])
     for fraction in resolved["fractions"]:
-        if not 0 < fraction <= 1:
-            raise InputError(f"got fraction {fraction}; expected a number in (0, 1], the share of the points to lift")
+        check_fraction(fraction)
     for seed in resolved["seeds"]:
         _check_range("seed", seed, 0, 2**63 - 1)
     if set(resolved["steps"]) - set(STEPS):

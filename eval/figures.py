@@ -117,7 +117,7 @@ def _density(rows: Sequence[Row], styles: Styles) -> Figure:
         for method, style in styles.items():
             percent, value, spread = _against_fraction([row for row in rows if row["method"] == method], column)
             axes.errorbar(percent, value, spread, label=method, marker="o", markersize=3, capsize=2, **style)
-        axes.set(xscale="log", xlabel="share of the points (%)", ylabel=column.heading)
+        axes.set(xscale="log", xlabel="fraction of the points (%)", ylabel=column.heading)
         percents = sorted({100 * row["fraction"] for row in rows})
         axes.set_xticks(percents, [f"{percent:g}" for percent in percents])
         axes.minorticks_off()

@@ -177,7 +177,7 @@ def overview(rows: Sequence[Row], fractions: Sequence[float]) -> Table:
         own = [row for row in rows if row["method"] == method]
         there = [[row for row in own if row["fraction"] == fraction] for fraction in fractions]
         body.append([method, *(f"{pooled(here, median)} / {pooled(here, share)}" if here else "-" for here in there)])
-    head = ["share of the points", *(f"{100 * fraction:g} %" for fraction in fractions)]
+    head = ["fraction of the points", *(f"{100 * fraction:g} %" for fraction in fractions)]
     return Table("overview", f"median error in spacings / share within 1 spacing{spread_of(rows)}", head, body)
 
 

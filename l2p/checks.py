@@ -27,10 +27,10 @@ def finite_rows(name: str, value: object) -> Float[np.ndarray, "lines 3"]:
     return array
 
 
-def check_fraction(value: float) -> None:
+def check_fraction(value: float, name: str = "fraction") -> None:
     """Refuse a fraction of the points that is not in (0, 1]."""
     if not 0 < value <= 1:
-        raise InputError(f"got fraction {value:g}; expected a number in (0, 1], a share of the points")
+        raise InputError(f"got {name} {value}; expected a number in (0, 1], a share of the points")
 
 
 def element_rows(value: object, rows: int) -> Int[np.ndarray, " rows"]:

@@ -13,6 +13,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from l2p.attacks.learned.checkpoint import configured
 from l2p.attacks.learned.learned import LearnedConfig
 from l2p.attacks.learned.network import NetworkConfig
+from l2p.checks import check_fraction
 from l2p.errors import InputError
 from l2p.simulator import MAX_POINTS, MIN_POINTS
 from l2p.work.threads import MOST_THREADS
@@ -177,7 +178,6 @@ def _check(resolved: dict[str, Any]) -> None:
             f"got simulated_points {points}; expected [LEAST, MOST], at least {MIN_POINTS}, at most {MAX_POINTS}"
         )
     for fraction in resolved["val_fractions"] or [0.0]:
-        if not 0 < fraction <= 1:
-            raise InputError(f"got val fraction {fraction}; expected numbers in (0, 1]")
+        check_fraction(fraction, "val fraction")
     if not 0 <= resolved["averaging"] < 1:
         raise InputError(f"got averaging {resolved['averaging']}; expected a number in [0, 1)")

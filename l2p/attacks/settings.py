@@ -28,7 +28,7 @@ class LearnedSettings:
     )
     fraction: float = setting(
         1.0,
-        "share of the map's points that the lines hold, in (0, 1]; the confidence is about spacings of the map",
+        "fraction of the map's points in the line cloud, in (0, 1]; the confidence is about spacings of the map",
         metavar="F",
     )
 
@@ -46,7 +46,7 @@ class HeuristicSettings:
 
     scene_kind: str = setting("indoor", "row of the paper's table of neighbour counts", choices=SCENE_KINDS)
     fraction: float = setting(
-        1.0, "share of the map's points that the lines hold, in (0, 1]; it chooses the counts", metavar="F"
+        1.0, "fraction of the map's points in the line cloud, in (0, 1]; it chooses the counts", metavar="F"
     )
     rounds: int = setting(3, "refinements after the coarse stage", metavar="R")
 

@@ -17,6 +17,7 @@ from jaxtyping import Float, UInt8
 from l2p.attacks.run import recover
 from l2p.attacks.settings import DEFAULT_METHOD, owners_of
 from l2p.auditing import FRACTIONS
+from l2p.checks import check_fraction
 from l2p.errors import InputError
 from l2p.judging.accuracy import compare, spacing
 from l2p.judging.curves import SHARES, THRESHOLDS, Curves, measured_curves, predicted_curves
@@ -229,10 +230,10 @@ def audit(
 
 def _fractions(wanted: Sequence[float]) -> list[float]:
     """Fractions, each once, from the smallest to the largest."""
-    bad = [share for share in wanted if not 0 < share <= 1]
-    if bad or not len(wanted):
-        got = f"fraction {bad[0]}" if bad else "no fraction"
-        raise InputError(f"got {got}; expected numbers in (0, 1], the shares of the points to lift")
+    if not len(wanted):
+        raise InputError("got no fraction; expected at least one, a number in (0, 1]")
+    for share in wanted:
+        check_fraction(share)
     return sorted({float(share) for share in wanted})
 
 

@@ -142,7 +142,7 @@ def _measured_table(audit: Audit) -> Table:
         note += f" The confidence of the method {audit.method} ranks points and is no probability."
     heads = [Head("Points published"), *_heads(shown), Head("Seconds")]
     rows = [[*_row(trial, shown), f"{trial.seconds:.1f}"] for trial in audit.trials]
-    return Table("By share of the points", heads, rows, note)
+    return Table("By fraction of the points", heads, rows, note)
 
 
 def _metric_table(audit: Audit) -> Table:

@@ -84,11 +84,19 @@ def _add_lift(commands: Any) -> None:
     lift = _command(commands, "lift", "replace the points of a scene by lines through them")
     lift.add_argument("scene", metavar="SCENE", help="COLMAP model folder (bin or txt), PLY, or npz with xyz")
     lift.add_argument(
-        "-o", dest="output", metavar="LINES.npz", required=True, help="line cloud to write; .ply and .obj to look at"
+        "-o",
+        dest="output",
+        metavar="LINES.npz",
+        required=True,
+        help="line cloud to write; .ply and .obj to look at",
     )
     lift.add_argument("--truth", metavar="TRUTH.npz", help="also write the points, in the order of the lines")
     lift.add_argument(
-        "--fraction", type=float, default=1.0, metavar="F", help="share of the points, in (0, 1] (default: %(default)s)"
+        "--fraction",
+        type=float,
+        default=1.0,
+        metavar="F",
+        help="fraction of the points, in (0, 1] (default: %(default)s)",
     )
     lift.add_argument(
         "--scheme", choices=SCHEMES, default=DEFAULT_SCHEME, help="how points are hidden (default: %(default)s)"
@@ -185,7 +193,7 @@ def _add_audit(commands: Any) -> None:
         type=float,
         nargs="+",
         metavar="F",
-        help="shares of the points to publish, in (0, 1] "
+        help="fractions of the points to publish, in (0, 1] "
         f"(default: {' '.join(f'{share:g}' for share in FRACTIONS)}); not with a line cloud",
     )
     audit.add_argument(

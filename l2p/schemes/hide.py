@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from l2p.checks import finite_rows
+from l2p.checks import check_fraction, finite_rows
 from l2p.errors import InputError
 from l2p.maps.lines import LineCloud
 from l2p.maps.scene import Scene
@@ -80,8 +80,7 @@ def hide(
     xyz = finite_rows("points", scene.xyz)
     if len(xyz) == 0:
         raise InputError("got a scene without points; expected at least one point to lift")
-    if not 0 < fraction <= 1:
-        raise InputError(f"got fraction {fraction}; expected a number in (0, 1], the share of the points to lift")
+    check_fraction(fraction)
     way, colour = scheme_of(scheme), _colours(scene, rgb)
     # A separate stream: default_rng(seed) may have drawn the points, and would draw the same numbers as directions.
     rng = np.random.default_rng(None if seed is None else [seed, _STREAM])

@@ -255,7 +255,7 @@ def test_colours_and_settings_come_along(truth):
         ({"method": "magic"}, "got method 'magic'; expected one of .*heuristic"),
         ({"method": "heuristic", "device": "cuda:99"}, "got device 'cuda:99'; expected one of cpu"),
         ({"method": "heuristic", "rounds": -1}, "got -1 rounds; expected 0"),
-        ({"method": "heuristic", "fraction": 0.0}, r"got fraction 0; expected a number in \(0, 1\]"),
+        ({"method": "heuristic", "fraction": 0.0}, r"got fraction 0.0; expected a number in \(0, 1\]"),
         ({"method": "heuristic", "scene_kind": "sea"}, "got scene kind 'sea'; expected one of indoor, outdoor"),
         ({"method": "tomography", "scene_kind": "indoor"}, "got a scene kind for method 'tomography'; expected"),
         (

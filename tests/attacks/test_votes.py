@@ -144,7 +144,7 @@ def test_neighbour_counts_are_those_of_the_paper(kind, density, coarse, fine):
     ("setting", "message"),
     [
         ({"scene_kind": "urban"}, "got scene kind 'urban'; expected one of indoor, outdoor"),
-        ({"fraction": 0.0}, r"got fraction 0; expected a number in \(0, 1\]"),
+        ({"fraction": 0.0}, r"got fraction 0.0; expected a number in \(0, 1\]"),
         ({"fraction": 1.5}, r"got fraction 1.5; expected a number in \(0, 1\]"),
         ({"rounds": -1}, "got -1 rounds; expected 0"),
     ],

@@ -13,6 +13,7 @@ import l2p
 from l2p.auditing import report
 from l2p.auditing.audit import FRACTIONS
 from l2p.auditing.words import headline, sparser, typical
+from l2p.judging.accuracy import spacing
 from l2p.judging.calibration import BINS
 from l2p.judging.curves import SHARES, THRESHOLDS
 from l2p.judging.scores import Scores
@@ -47,7 +48,7 @@ def test_lines_are_those_of_the_seed_and_scores_those_of_the_true_points(scene, 
         hidden = l2p.hide(scene.xyz, seed=4, fraction=trial.fraction)
         lines, index = hidden.map, hidden.truth.index
         np.testing.assert_array_equal(trial.lines.moment, lines.moment)
-        assert trial.scores == l2p.evaluate(trial.recovery, scene.xyz[index], l2p.judging.accuracy.spacing(scene.xyz))
+        assert trial.scores == l2p.evaluate(trial.recovery, scene.xyz[index], spacing(scene.xyz))
 
 
 def test_the_attack_knows_the_fraction(found):
@@ -93,7 +94,7 @@ def test_progress_counts_the_lines(scene):
 
 @pytest.mark.parametrize("fractions", [[0.5, 0], [1.5], [float("nan")], []])
 def test_fractions_out_of_range_are_refused(scene, fractions):
-    with pytest.raises(l2p.InputError, match=r"expected numbers in \(0, 1\]"):
+    with pytest.raises(l2p.InputError, match=r"a number in \(0, 1\]"):
         l2p.audit(scene, fractions, method="tomography")
 
 
@@ -123,7 +124,7 @@ def test_of_a_line_cloud_the_confidence_predicts(blind, scene):
 
 def test_the_spacing_of_a_line_cloud_is_near_the_true_one(scene):
     blind = l2p.audit(l2p.lift(scene.xyz, seed=4), method="tomography")
-    assert blind.spacing == pytest.approx(l2p.judging.accuracy.spacing(scene.xyz), rel=0.3)
+    assert blind.spacing == pytest.approx(spacing(scene.xyz), rel=0.3)
 
 
 def test_a_line_cloud_is_attacked_as_it_is(scene):

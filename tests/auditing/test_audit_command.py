@@ -130,7 +130,7 @@ def test_a_name_that_is_no_text_is_shown_as_far_as_it_can_be(files, tmp_path):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("--fractions", 0), "got fraction 0.0; expected numbers in (0, 1]"),
+        (("--fractions", 0), "got fraction 0.0; expected a number in (0, 1]"),
         (("--fractions", "many"), "invalid float value"),
         (("--threads", 0), "got --threads 0; expected at least 1"),
         (("--max-view-points", 0), "got --max-view-points 0; expected at least 1"),

@@ -190,8 +190,8 @@ HEURISTIC = ("--method", "heuristic")
         ("out.npz", ["--device", "quantum"], "got device 'quantum'; expected one of cpu"),
         ("out.npz", ["--threads", "0"], "got --threads 0; expected at least 1"),
         ("out.npz", ["--rounds", "-1"], "-1 rounds; expected 0"),
-        ("out.npz", [*HEURISTIC, "--fraction", "0"], "fraction 0; expected a number in (0, 1]"),
-        ("out.npz", ["--fraction", "2"], "fraction 2; expected a number in (0, 1]"),
+        ("out.npz", [*HEURISTIC, "--fraction", "0"], "fraction 0.0; expected a number in (0, 1]"),
+        ("out.npz", ["--fraction", "2"], "fraction 2.0; expected a number in (0, 1]"),
         (
             "out.npz",
             ["--scene-kind", "indoor"],

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import l2p
 from l2p.cli.main import main
 from l2p.io.line_files import load_lines
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
+from l2p.judging.accuracy import spacing
 
 #: The cheapest attack, where any will do.
 TOMOGRAPHY = ("--method", "tomography", "--rounds", 0)
@@ -66,7 +66,7 @@ def test_lift_puts_each_true_point_on_its_line(scene, lifted):
     assert truth.ids is not None
     np.testing.assert_array_equal(truth.ids, truth.index + 1000)
     assert truth.seed == 1
-    assert truth.spacing == l2p.judging.accuracy.spacing(load_scene(scene).xyz)
+    assert truth.spacing == spacing(load_scene(scene).xyz)
     assert lines.rgb is None
 
 
@@ -88,7 +88,7 @@ def test_lift_with_a_seed_gives_the_same_bytes(tmp_path, scene):
     colours = load_scene(scene).rgb
     assert colours is not None
     np.testing.assert_array_equal(lines.rgb, colours[truth.index])
-    assert truth.spacing == l2p.judging.accuracy.spacing(load_scene(scene).xyz), "of all points, not of the lifted half"
+    assert truth.spacing == spacing(load_scene(scene).xyz), "of all points, not of the lifted half"
 
 
 def test_recover_and_evaluate(tmp_path, lifted, capsys):

@@ -27,6 +27,7 @@ from eval.eval_config import CONFIGS, settings_of
 from eval.evaluation import evaluate_all
 from l2p.attacks.learned.checkpoint import digest, read, save
 from l2p.errors import InputError
+from l2p.judging.accuracy import spacing
 from l2p.maps.recovery import Recovery
 from l2p.programs.scenes import scenes_of
 
@@ -124,7 +125,7 @@ def test_rows_are_what_the_measures_say_of_the_saved_prediction(tmp_path: Path) 
     points = l2p.simulate("room", 120, 0).xyz
     index = l2p.hide(points, 0, 0.5).truth.index
     recovery = l2p.load(tmp_path / "predictions" / "sim-room-120-0_50_0_oracle-10.npz", Recovery)
-    scores = l2p.evaluate(recovery, points[index], l2p.judging.accuracy.spacing(points))
+    scores = l2p.evaluate(recovery, points[index], spacing(points))
     assert float(row["median_spacings"]) == pytest.approx(scores.median_spacings)
     assert float(row["within_1"]) == pytest.approx(scores.within_spacings["1"])
     assert float(row["neighbor_precision"]) == 1
@@ -384,7 +385,9 @@ def test_the_tables_and_figures_of_the_docs_are_made_by_one_command(tmp_path: Pa
         assert (docs.parent / "images" / f"results-{name}").is_file()
         assert f"](images/results-{name})" in docs.read_text()
     assert "| method | points | median / heuristic's |" in docs.read_text()
-    assert readme.read_text().startswith("# Mine\n\n<!-- eval:readme:overview -->\n\n| share of the points | 100 % |")
+    assert readme.read_text().startswith(
+        "# Mine\n\n<!-- eval:readme:overview -->\n\n| fraction of the points | 100 % |"
+    )
     assert readme.read_text().endswith("\n\n<!-- /eval -->\n\nThe end.\n") and "old" not in readme.read_text()
 
 

@@ -162,7 +162,7 @@ def test_references_are_the_methods_of_the_paper_and_the_bound() -> None:
 def test_the_overview_has_a_column_for_each_fraction() -> None:
     rows = [row("m"), row("m", fraction=0.1, median_spacings=2.345, within_1=0.126), row("n", fraction=0.1)]
     table = overview(rows, [1.0, 0.1])
-    assert table.head == ["share of the points", "100 %", "10 %"]
+    assert table.head == ["fraction of the points", "100 %", "10 %"]
     assert table.body == [["m", "1.00 / 50 %", "2.35 / 13 %"], ["n", "-", "1.00 / 50 %"]]
 
 
@@ -183,7 +183,7 @@ def test_tables_replace_what_is_between_their_marks() -> None:
     text = "a\n<!-- eval:mine:overview -->\nold\n<!-- /eval -->\nb\n<!-- eval:mine:100% -->\n<!-- /eval -->\nc\n"
     once = updated(text, "mine", found)
     assert once is not None and "old" not in once and once.count("| m |") == 2
-    assert once.startswith("a\n<!-- eval:mine:overview -->\n\n| share") and once.endswith("|\n\n<!-- /eval -->\nc\n")
+    assert once.startswith("a\n<!-- eval:mine:overview -->\n\n| fraction") and once.endswith("|\n\n<!-- /eval -->\nc\n")
     assert updated(once, "mine", found) == once
     assert updated(text, "other", found) is None
     with pytest.raises(InputError, match=r"got <!-- eval:mine:none -->; expected a table of overview, 100%, scenes"):

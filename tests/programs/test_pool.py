@@ -21,6 +21,7 @@ from l2p.attacks.learned.learned import Learned, LearnedConfig, weighted_peak
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.errors import InputError
 from l2p.geometry.frame import Frame
+from l2p.judging.accuracy import spacing
 from train.clouds import CloudSource, lifted
 from train.losses import Sample
 from train.pool import Entry, Pool
@@ -140,7 +141,7 @@ def test_the_truth_of_a_cloud_is_that_of_its_scene(attack: Learned) -> None:
     frame = Frame.of(lines)
     truth = points[index]
     np.testing.assert_allclose(cloud.true_point.numpy(), frame.enter_points(truth).numpy(), atol=1e-5)
-    assert cloud.spacing * frame.unit == pytest.approx(l2p.judging.accuracy.spacing(truth))
+    assert cloud.spacing * frame.unit == pytest.approx(spacing(truth))
     nearest = np.sort(np.linalg.norm(truth[:, None] - truth, axis=2), axis=1)
     np.testing.assert_allclose(cloud.radius.numpy() * frame.unit, nearest[:, 25], rtol=1e-5)
 

@@ -244,7 +244,7 @@ def test_unknown_keys_and_other_types_are_errors(override: str) -> None:
         ("simulated_points=[500,300]", r"got simulated_points \[500, 300\]"),
         ("val=[]", "got no val scenes"),
         ("val_fractions=[]", "got val fraction 0.0"),
-        ("val_fractions=[0.5,1.5]", r"got val fraction 1.5; expected numbers in \(0, 1\]"),
+        ("val_fractions=[0.5,1.5]", r"got val fraction 1.5; expected a number in \(0, 1\]"),
         ("min_lines=1", "got min_lines 1; expected at least 2"),
         ("max_lines=10", "got max_lines 10; expected at least min_lines, 50"),
         ("steps=0", "got steps 0; expected at least 1"),

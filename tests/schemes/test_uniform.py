@@ -81,7 +81,7 @@ def test_colours_follow_their_points(walk):
         ({"points": np.zeros((0, 3))}, "got a scene without points; expected at least one point to lift"),
         ({"points": np.zeros((5, 2))}, r"got points of shape \(5, 2\); expected \(lines, 3\)"),
         ({"points": np.full((5, 3), np.nan)}, r"got 5 line\(s\) with a points that is NaN, infinite or beyond 1e30"),
-        ({"fraction": 0.0}, r"got fraction 0.0; expected a number in \(0, 1\], the share of the points to lift"),
+        ({"fraction": 0.0}, r"got fraction 0.0; expected a number in \(0, 1\], a share of the points"),
         ({"fraction": 1.1}, r"got fraction 1.1; expected a number in \(0, 1\]"),
         ({"fraction": float("nan")}, r"got fraction nan; expected a number in \(0, 1\]"),
         ({"scheme": "paired"}, "got scheme 'paired'; expected one of uniform"),
