@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import pkgutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -42,7 +43,7 @@ def named_attack(name: str, **settings: Any) -> Attack:
             owners = " or ".join(map(repr, owners_of(key)))
             expected = f"it with method {owners} only" if owners else f"some of {', '.join(row.names)}"
             raise InputError(f"got a {key.replace('_', ' ')} for method {name!r}; expected {expected}")
-    return imported(row.build)(row.settings(**given))
+    return pkgutil.resolve_name(row.build)(row.settings(**given))
 
 
 def imported(path: str) -> Callable[..., Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import pkgutil
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from l2p.errors import InputError
@@ -72,5 +72,4 @@ def scheme_of(name: str) -> Any:
     """
     if name not in SCHEMES:
         raise InputError(f"got scheme {name!r}; expected one of {', '.join(SCHEMES)}")
-    module, _, attribute = SCHEMES[name].partition(":")
-    return getattr(importlib.import_module(module), attribute)()
+    return pkgutil.resolve_name(SCHEMES[name])()

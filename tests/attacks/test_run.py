@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import l2p
 from l2p.attacks.attack import Attack, Elements, Estimate, locate
 from l2p.attacks.heuristic import Heuristic
 from l2p.attacks.learned.checkpoint import shipped
+from l2p.attacks.named import named_attack
 from l2p.attacks.run import recover, run, usable_device
 from l2p.errors import InputError
 from l2p.geometry.frame import Frame
@@ -312,3 +314,10 @@ def test_an_attack_may_place_two_points_on_a_line_or_none(truth, direction):
     assert found.neighbors is not None and np.array_equal(found.neighbors[:, 0], found.element)
     scores = l2p.evaluate(found, l2p.Truth(truth, np.arange(len(truth)), spacing=1.0))
     assert scores.lines == len(truth)
+
+
+def test_own_attacks_do_not_make_the_working_folder_importable(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if place])
+    named_attack("tomography")
+    assert str(tmp_path) not in sys.path, "a file there could stand in for a library that is loaded later"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import pkgutil
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
@@ -44,8 +44,7 @@ def inputs_of(names: Sequence[str], constants: Mapping[str, Mapping[str, Any]] |
 def _built(name: str, constants: Mapping[str, Any] | None) -> Inputs:
     if name not in INPUTS:
         raise InputError(f"got input {name!r} of a network; expected some of {', '.join(INPUTS)}")
-    module, _, kind = INPUTS[name].partition(":")
-    family = getattr(importlib.import_module(module), kind)
+    family = pkgutil.resolve_name(INPUTS[name])
     if constants is None:
         return family()
     known = {entry.name for entry in fields(family)}
