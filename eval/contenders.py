@@ -6,7 +6,6 @@ To add one, write a dataclass with ``label`` and ``recover`` (or, if it returns 
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -70,7 +69,7 @@ class Contender(Protocol):
 
 @dataclass(frozen=True)
 class Peer:
-    """Method that is built for a trial and run by ``l2p.recover.run``."""
+    """Method that is built for a trial and run by :func:`l2p.attacks.run.run`."""
 
     label: str = ""
     knows_truth: ClassVar[bool] = False
@@ -242,7 +241,7 @@ class FolderContender:
     def files(self, cloud: str) -> dict[str, str]:
         """Return the digest of the recovery."""
         file = self._file(cloud)
-        return {"digest": hashlib.sha256(file.read_bytes()).hexdigest()[:12] if file.is_file() else "no file"}
+        return {"digest": checkpoint.digest(file) if file.is_file() else "no file"}
 
     def _file(self, cloud: str) -> Path:
         return Path(self.path) / f"{cloud}.npz"

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from eval.contenders import PAPER_KIND
 from eval.mean_curves import pooled_reliability
 from eval.result_tables import MEDIAN, SHARE, Column, distinct, pool_seed
 from eval.scoring import Row
 from l2p.judging.curves import SHARES, SHOWN, THRESHOLDS
+from l2p.programs.scenes import PAPER_KIND
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

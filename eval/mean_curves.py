@@ -29,10 +29,9 @@ class Diagram(NamedTuple):
 def curves_of(found: Outcome) -> dict[str, Any]:
     """Sample every curve of a prediction, as plain lists; None for curves that it does not have."""
     confidence, inside = found.confidence, found.inside
-    ranks = confidence.min() < confidence.max()
     return {
         "within": _plain(distribution(found.spacings)),
-        "risk": _plain(sampled_risk(confidence, inside)) if ranks else None,
+        "risk": _plain(sampled_risk(confidence, inside)) if found.ranks else None,
         "reliability": _plain(sampled_reliability(confidence, inside)) if found.recovery.calibrated else None,
         "neighbors": None if found.right is None else _plain(sampled_precision(found.recovery, found.right)),
     }

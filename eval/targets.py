@@ -33,11 +33,7 @@ class References:
     @classmethod
     def of(cls, methods: Sequence[Contender]) -> References:
         """Find the paper's attack with the paper's counts, and leave-one-out."""
-        heuristic = [
-            m.label
-            for m in methods
-            if isinstance(m, AttackContender) and m.name == "heuristic" and "fraction" not in m.settings
-        ]
+        heuristic = [m.label for m in methods if _is_papers(m)]
         loo = [m.label for m in methods if isinstance(m, LeaveOneOutContender)]
         knowing = frozenset(m.label for m in methods if m.knows_truth)
         return cls(next(iter(heuristic), None), next(iter(loo), None), knowing)

@@ -90,7 +90,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("map", nargs="?", metavar="MAP", help="COLMAP model folder, PLY or npz (default: a room)")
     parser.add_argument("-o", dest="output", default="audit-output", metavar="DIR", help="default: %(default)s")
     parser.add_argument("--method", default="learned", help="learned, tomography or heuristic (default: %(default)s)")
-    parser.add_argument("--fraction", type=float, default=1.0, help="share of the points (default: %(default)s)")
+    parser.add_argument("--fraction", type=float, default=1.0, help="fraction of the points (default: %(default)s)")
     parser.add_argument("--points", type=int, default=3000, help="of the simulated room (default: %(default)s)")
     return parser.parse_args()
 

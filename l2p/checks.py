@@ -23,7 +23,7 @@ def finite_rows(name: str, value: object) -> Float[np.ndarray, "lines 3"]:
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"got {name} of shape {array.shape}; expected (lines, 3)")
     array = array.astype(np.float64)
-    _refuse(np.asarray(~in_range(array).all(axis=1)), f"{name} that is {OUT_OF_RANGE}", "remove the line")
+    refuse(np.asarray(~in_range(array).all(axis=1)), f"{name} that is {OUT_OF_RANGE}", "remove the line")
     return array
 
 
@@ -50,7 +50,7 @@ def in_range(array: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
     return np.abs(array) <= FARTHEST
 
 
-def _refuse(bad: np.ndarray, what: str, mend: str) -> None:
+def refuse(bad: np.ndarray, what: str, mend: str) -> None:
     """Raise InputError if ``bad`` marks a line; ``mend`` is the advice to the user."""
     if bad.any():
         message = f"got {int(bad.sum())} line(s) with a {what}, first at line {int(np.argmax(bad))}"

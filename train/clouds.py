@@ -17,11 +17,10 @@ from l2p.attacks.tomography.posterior import Posterior
 from l2p.attacks.tomography.reconstruct import reconstruct
 from l2p.geometry.frame import Frame
 from l2p.geometry.points import nearest_neighbors
-from l2p.io.scene_files import load_scene
 from l2p.judging.accuracy import spacing
 from l2p.maps.scene import Scene
+from l2p.programs.scenes import scene_at
 from l2p.schemes.hide import hide
-from l2p.simulator import simulate
 from train.losses import Sample, soft_labels
 
 #: Number of true neighbours whose distance is the local radius.
@@ -102,8 +101,5 @@ def lifted(source: CloudSource, attack: Learned, device: torch.device | str = "c
 
 @lru_cache(maxsize=256)
 def read(scene: str) -> Scene:
-    """Read a scene file, or simulate the scene ``sim:kind:points:seed``."""
-    if scene.startswith("sim:"):
-        kind, points, seed = scene.split(":")[1:]
-        return simulate(kind, int(points), int(seed))
-    return load_scene(scene)
+    """Read or simulate a scene; the last results are cached."""
+    return scene_at(scene)

@@ -129,14 +129,14 @@ def _add_recover(commands: Any) -> None:
     recover.add_argument(
         "--truth", metavar="TRUTH.npz", help="for a COLMAP model: which line is which point id (nothing else is used)"
     )
-    recover.add_argument("--device", default="cpu", help="torch device (default: %(default)s)")
+    _add_device(recover)
     recover.add_argument(
         "--seed",
         type=_seed,
         metavar="S",
         help="recorded with the result; no attack draws random numbers",
     )
-    recover.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
+    _add_threads(recover)
     recover.add_argument(
         "--processes",
         type=int,
@@ -209,8 +209,8 @@ def _add_audit(commands: Any) -> None:
         help="points of each cloud that the page draws; the figures count all (default: %(default)s)",
     )
     audit.add_argument("--open", action="store_true", help="show the page in the browser, where there is a display")
-    audit.add_argument("--device", default="cpu", help="torch device (default: %(default)s)")
-    audit.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
+    _add_device(audit)
+    _add_threads(audit)
     _add_memory(audit)
     _add_json(audit, "FILE", "the figures of audit.json")
     _add_force(audit)
@@ -251,6 +251,14 @@ def _seed(word: str) -> int:
     if not 0 <= value < 2**63:
         raise argparse.ArgumentTypeError(f"got {word}; expected 0 to 2^63 - 1")
     return value
+
+
+def _add_device(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--device", default="cpu", help="torch device (default: %(default)s)")
+
+
+def _add_threads(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
 
 
 def _add_memory(command: argparse.ArgumentParser) -> None:

@@ -125,6 +125,11 @@ class Outcome:
         return self.error <= self.spacing
 
     @property
+    def ranks(self) -> bool:
+        """Whether the confidence differs from point to point."""
+        return bool(self.confidence.min() < self.confidence.max())
+
+    @property
     def spacings(self) -> Float[np.ndarray, " points"]:
         """Errors in spacings."""
         return self.error / self.spacing

@@ -124,7 +124,7 @@ def _met(outcome: Outcome) -> set[Need | None]:
     needs = {
         None: True,
         Need.CALIBRATED: outcome.recovery.calibrated,
-        Need.RANKS: bool(outcome.confidence.min() < outcome.confidence.max()),
+        Need.RANKS: outcome.ranks,
         Need.METRIC: outcome.metric,
         Need.NEIGHBORS: outcome.right is not None,
     }

@@ -48,9 +48,6 @@ class Oracle(Attack):
     It is not an upper bound for attacks: the nearest neighbours of a point reveal something about the point itself.
     """
 
-    #: The confidence only ranks.
-    calibrated = False
-
     def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 50, outliers: float = 0.0, seed: int = 0) -> None:
         _check_number("k", k)
         if not 0 <= outliers <= 1:
@@ -96,9 +93,6 @@ class CandidateOracle(Attack):
     candidates : int
         Size of N_pl around the attack's estimates.
     """
-
-    #: The confidence only ranks.
-    calibrated = False
 
     def __init__(
         self, points: Float[np.ndarray, "lines 3"], attack: Attack, k: int = 50, candidates: int = 200
@@ -152,9 +146,6 @@ class LeaveOneOut(Attack):
     k : int
         Number of points nearest to the line that enter the density; farther ones have no effect in practice.
     """
-
-    #: The confidence only ranks.
-    calibrated = False
 
     def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 128) -> None:
         _check_number("k", k)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from l2p.checks import _refuse, finite_rows
+from l2p.checks import finite_rows, refuse
 from l2p.errors import InputError
 
 #: Largest |d| - 1 and |d . m| / |m| that count as rounding: files may be written in single precision.
@@ -61,13 +61,11 @@ class LineCloud:
         if self.rgb is not None and self.rgb.shape != direction.shape:
             raise InputError(f"got rgb of shape {self.rgb.shape}; expected ({len(direction)}, 3), one colour a line")
         length = np.linalg.norm(direction, axis=1, keepdims=True)
-        _refuse(
-            np.abs(length[:, 0] - 1) > UNIT_TOLERANCE, "direction of length other than 1", "normalise the direction"
-        )
+        refuse(np.abs(length[:, 0] - 1) > UNIT_TOLERANCE, "direction of length other than 1", "normalise the direction")
         direction = np.where(np.abs(length - 1) > _ROUNDING, direction / length, direction)
         along = np.sum(direction * moment, axis=1)
         size = np.linalg.norm(moment, axis=1)
-        _refuse(
+        refuse(
             np.abs(along) > UNIT_TOLERANCE * size + np.finfo(float).tiny,
             "moment that is not perpendicular to its direction",
             "store p x d for a point p on the line",
@@ -90,7 +88,7 @@ class LineCloud:
         if len(point) != len(direction):
             raise InputError(f"got {len(point)} points and {len(direction)} directions; expected one direction a point")
         length = np.linalg.norm(direction, axis=1, keepdims=True)
-        _refuse(length[:, 0] == 0, "direction of length 0", "remove the line")
+        refuse(length[:, 0] == 0, "direction of length 0", "remove the line")
         direction = direction / length
         # The moment is computed at the foot of the perpendicular from the origin, so that its rounding also depends on
         # the line and hardly on the point.

@@ -15,9 +15,6 @@ from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
 from l2p.maps.lines import LineCloud
 
-#: Share of the points that the view must show, and factor on its radius: most maps have a far background.
-_HELD, _MARGIN = 0.8, 1.3
-
 
 @dataclass(frozen=True, eq=False)
 class Exhibit:

@@ -8,7 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from l2p.maps.lines import LineCloud
-from l2p.show.exhibit import _HELD, _MARGIN, Exhibit
+from l2p.show.exhibit import Exhibit
+
+#: Share of the points that the view must show, and factor on its radius: most maps have a far background.
+_HELD, _MARGIN = 0.8, 1.3
 
 
 @dataclass(frozen=True, eq=False)

@@ -147,7 +147,7 @@ def _held_back(results: Any) -> list[Table]:
         return []
     columns: list[tuple[str, str, Callable[[float], str]]] = [
         ("scene", "scene", str),
-        ("share of points", "fraction", lambda value: f"{100 * value:g}%"),
+        ("fraction of the points", "fraction", lambda value: f"{100 * value:g}%"),
         ("lines", "lines", str),
         ("median error by round (spacings)", "median", lambda value: f"{value:.3f}"),
         ("within 1 spacing by round", "within", lambda value: f"{value:.1%}"),

@@ -17,7 +17,7 @@ from torch import Tensor
 from l2p.attacks.learned.nodes import Nodes
 from l2p.attacks.tomography.posterior import Posterior
 from l2p.geometry.elements import Lines, picked
-from l2p.geometry.pairs import PARALLEL
+from l2p.geometry.pairs import PARALLEL, point_line_distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ class Candidates:
     def line_point(self) -> Float[Tensor, "rows k"]:
         """Distance of the candidate from the line's estimate."""
         direction, moment = self._other_lines
-        return (torch.linalg.cross(self.here.expand_as(direction), direction) - moment).norm(dim=-1)
+        return point_line_distance(self.here.expand_as(direction), direction, moment)
 
     @cached_property
     def side(self) -> Float[Tensor, "rows 1"]:

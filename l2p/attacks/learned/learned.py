@@ -27,6 +27,7 @@ from l2p.attacks.peak import PeakConfig, find_peak, settled
 from l2p.attacks.tomography.posterior import Posterior, mass_within, modes
 from l2p.attacks.tomography.reconstruct import LINE_BYTES as TOMOGRAPHY_BYTES
 from l2p.attacks.tomography.reconstruct import TomographyConfig, reconstruct
+from l2p.attacks.votes import equal_weights
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.nearest import nearest_points_to_lines
@@ -183,7 +184,7 @@ class Learned(Attack):
             last = self.judge(state, work)
             return Estimate(last.estimates.beta[own], self.confidence(last), last.candidates, last.affinity)
         nodes, candidates = state.nodes, self.candidates(state.elements.lines, state.nodes, work)
-        affinity = (candidates >= 0).to(nodes.beta.dtype)
+        affinity = equal_weights(state.elements.lines, candidates)
         return Estimate(nodes.beta[own], nodes.confidence[own], candidates, affinity)
 
     def settings(self) -> dict[str, Any]:
