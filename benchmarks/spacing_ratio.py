@@ -1,4 +1,4 @@
-"""Measure how the spacing of a map depends on the fraction of its points, the basis of `l2p recover --density`.
+"""Measure how the spacing of a map depends on the fraction of its points, the basis of `l2p recover --fraction`.
 
     python benchmarks/spacing_ratio.py ../shared/scenes/train
 
