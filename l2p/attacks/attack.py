@@ -23,6 +23,7 @@ from torch import Tensor
 
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
+from l2p.maps.appearance import NO_APPEARANCE, Appearance
 from l2p.work.work import Work
 
 
@@ -42,23 +43,39 @@ class Elements:
     frame : Frame
         Converts to scene units, for references that know the truth.
     attributes : mapping
-        Data published with the lines, one row per line: ``rgb`` (lines, 3) in [0, 1].
+        Data published with the lines, one row per line: ``rgb`` (lines, 3) in [0, 1], ``descriptor`` (lines, length)
+        float32.
+    descriptor_kind : str or None
+        What computed the descriptors.
     """
 
     lines: Lines
     row: Int[Tensor, " lines"]
     frame: Frame
     attributes: Mapping[str, Shaped[Tensor, "lines ..."]] = field(default_factory=dict)
+    descriptor_kind: str | None = None
 
     @classmethod
-    def sorted(cls, lines: Lines, frame: Frame, attributes: Mapping[str, Shaped[Tensor, "lines ..."]]) -> Elements:
+    def sorted(cls, lines: Lines, frame: Frame, appearance: Appearance = NO_APPEARANCE) -> Elements:
         """Sort lines, given in the order of the map, by their coordinates."""
         key = torch.cat([lines.direction, lines.moment], dim=1).cpu().numpy()
         row = torch.as_tensor(np.lexsort(key.T), device=lines.direction.device)
-        return cls(lines.rows(row), row, frame, {name: value[row] for name, value in attributes.items()})
+        published = attributes_of(appearance, lines.direction.device)
+        attributes = {name: value[row] for name, value in published.items()}
+        return cls(lines.rows(row), row, frame, attributes, appearance.descriptor_kind)
 
     def __len__(self) -> int:
         return len(self.row)
+
+
+def attributes_of(appearance: Appearance, device: torch.device) -> dict[str, Float[Tensor, "lines width"]]:
+    """Colours, from 0 to 1, and descriptors as tensors."""
+    attributes = {}
+    if appearance.rgb is not None:
+        attributes["rgb"] = torch.as_tensor(appearance.rgb / np.float32(255), device=device)
+    if appearance.descriptor is not None:
+        attributes["descriptor"] = torch.as_tensor(appearance.descriptor.astype(np.float32), device=device)
+    return attributes
 
 
 class Estimate(NamedTuple):

@@ -118,8 +118,7 @@ def run(
     work.journal.begin(_about(lines, attack, name))
     frame = Frame.of(lines)
     with torch.inference_mode():
-        attributes = {} if lines.rgb is None else {"rgb": torch.as_tensor(lines.rgb / np.float32(255), device=where)}
-        elements = Elements.sorted(frame.enter(lines, where), frame, attributes)
+        elements = Elements.sorted(frame.enter(lines, where), frame, lines.appearance)
         _check_same(work.shards, attack, where)
         _send(elements, work.shards)
         estimate = _in_map_order(_collected(locate(attack, elements, work), len(elements), work), elements.row)
@@ -193,6 +192,8 @@ def _room(attack: Attack, where: torch.device, memory: float | None, lines: int,
 def _about(lines: LineCloud, attack: Attack, name: str) -> dict[str, Any]:
     """Identity of a run, for its journal: the same for the same lines, method, settings and version."""
     digest = hashlib.sha256(lines.direction.tobytes() + lines.moment.tobytes())
+    for name in lines.appearance.names:
+        digest.update(name.encode() + getattr(lines, name).tobytes())
     return {
         "lines": digest.hexdigest(),
         "method": name or type(attack).__name__,
@@ -217,7 +218,12 @@ def _send(elements: Elements, shards: Shards) -> None:
     if shards.processes == 1:
         return
     shapes = {name: list(value.shape[1:]) for name, value in elements.attributes.items()}
-    header = {"lines": len(elements), "frame": elements.frame.as_dict(), "attributes": shapes}
+    header = {
+        "lines": len(elements),
+        "frame": elements.frame.as_dict(),
+        "attributes": shapes,
+        "kind": elements.descriptor_kind,
+    }
     shards.first_json(header, elements.row.device)
     for tensor in (*elements.lines, elements.row, *elements.attributes.values()):
         shards.first(tensor)
@@ -232,7 +238,7 @@ def _received(shards: Shards, where: torch.device) -> Elements:
     attributes = {
         name: shards.first(torch.empty(count, *shape, device=where)) for name, shape in header["attributes"].items()
     }
-    return Elements(Lines(direction, moment), row, Frame.from_dict(header["frame"]), attributes)
+    return Elements(Lines(direction, moment), row, Frame.from_dict(header["frame"]), attributes, header["kind"])
 
 
 def usable_device(name: str) -> torch.device:

@@ -15,6 +15,7 @@ from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb
 from l2p.io.text_lines import read_obj_segments, read_text_rows
+from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
 
 #: Version of written npz line clouds; older ones stay readable.
@@ -91,11 +92,13 @@ def segments(cloud: LineCloud) -> tuple[Float[np.ndarray, "lines 3"], Float[np.n
 
 
 def _read_npz(path: str | PathLike[str]) -> LineCloud:
-    fields = Fields(path, ("direction", "moment", "rgb", "scheme", "version"))
+    fields = Fields(path, ("direction", "moment", "rgb", "descriptor", "descriptor_kind", "scheme", "version"))
     fields.take_version(LINE_VERSION)
     direction = fields.take("direction", "fiu", (None, 3))
     moment = fields.take("moment", "fiu", (len(direction), 3))
-    return LineCloud(direction, moment, fields.take_rgb(len(direction)), fields.take_text("scheme"))
+    rows = len(direction)
+    rgb, scheme = fields.take_rgb(rows), fields.take_text("scheme")
+    return LineCloud(direction, moment, rgb, scheme, *fields.take_descriptor(rows))
 
 
 def _npz_bytes(cloud: LineCloud) -> bytes:
@@ -104,6 +107,8 @@ def _npz_bytes(cloud: LineCloud) -> bytes:
             "direction": cloud.direction,
             "moment": cloud.moment,
             "rgb": cloud.rgb,
+            "descriptor": cloud.descriptor,
+            "descriptor_kind": None if cloud.descriptor_kind is None else np.array(cloud.descriptor_kind),
             "scheme": np.array(cloud.scheme),
             "version": np.array(LINE_VERSION),
         }
@@ -141,7 +146,7 @@ def _through_segments(
         raise InputError(f"{path} has a line to vertex {wrong}; expected 0 to {len(vertex) - 1}, counted from 0")
     start, stop = vertex[ends[:, 0]].astype(np.float64), vertex[ends[:, 1]].astype(np.float64)
     # Half of each end: so the difference of two finite numbers is finite.
-    return LineCloud.through(start, stop / 2 - start / 2, rgb, FOREIGN_SCHEME)
+    return LineCloud.through(start, stop / 2 - start / 2, Appearance(rgb), FOREIGN_SCHEME)
 
 
 def _ply_bytes(cloud: LineCloud) -> bytes:

@@ -145,6 +145,15 @@ class Fields:
             raise InputError(f"{self.path} has rgb of type {rgb.dtype}; expected uint8, 0 to 255")
         return rgb
 
+    def take_descriptor(self, rows: int) -> tuple[np.ndarray | None, str | None]:
+        """Return the descriptors, (rows, length) of uint8 or of floating point, and their kind; None twice without."""
+        descriptor = self.take_optional("descriptor", "fiu", (rows, None))
+        if descriptor is None:
+            return None, None
+        if descriptor.dtype.kind != "f" and descriptor.dtype != np.uint8:
+            raise InputError(f"{self.path} has descriptors of type {descriptor.dtype}; expected uint8 or float32")
+        return descriptor, self.take_optional_text("descriptor_kind")
+
     def take_element(self, rows: int) -> np.ndarray:
         """The element of each row, if the file has them; else every row is of its own."""
         element = self.take_optional("element", "iu", (rows,), np.int64)

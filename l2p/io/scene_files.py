@@ -109,15 +109,19 @@ def _read_ply(path: str | PathLike[str]) -> Scene:
 
 
 def _read_npz(path: str | PathLike[str]) -> Scene:
-    fields = Fields(path, ("xyz", "rgb", "error", "track_length", "track_len", "ids", "camera_centers"))
+    names = ("xyz", "rgb", "error", "track_length", "track_len", "ids", "camera_centers", "descriptor")
+    fields = Fields(path, (*names, "descriptor_kind"))
     xyz = fields.take("xyz", "fiu", (None, 3), np.float64)
     rows = len(xyz)
     track_length = fields.take_optional("track_length", "iu", (rows,), np.int32)
     if track_length is None:
         track_length = fields.take_optional("track_len", "iu", (rows,), np.int32)
+    descriptor, kind = fields.take_descriptor(rows)
     return Scene(
         xyz=xyz,
         rgb=fields.take_rgb(rows),
+        descriptor=descriptor,
+        descriptor_kind=kind,
         error=fields.take_optional("error", "fiu", (rows,), np.float32),
         track_length=track_length,
         ids=fields.take_optional("ids", "iu", (rows,), np.int64),

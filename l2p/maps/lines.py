@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Float, Int, UInt8
 
 from l2p.checks import finite_rows, refuse
 from l2p.errors import InputError
+from l2p.maps.appearance import NO_APPEARANCE, Appearance
 
 #: Largest |d| - 1 and |d . m| / |m| that count as rounding: files may be written in single precision.
 UNIT_TOLERANCE = 1e-4
@@ -31,6 +33,10 @@ class LineCloud:
         Colour of the point behind each line.
     scheme : str
         Scheme that drew the directions; ``uniform`` is the line cloud of Speciale et al. (CVPR 2019).
+    descriptor : (lines, length) uint8 or float32, optional
+        Descriptor of the point behind each line.
+    descriptor_kind : str, optional
+        What computed the descriptors (:class:`l2p.maps.appearance.Appearance`).
 
     Raises
     ------
@@ -50,6 +56,8 @@ class LineCloud:
     moment: Float[np.ndarray, "lines 3"]
     rgb: UInt8[np.ndarray, "lines 3"] | None = None
     scheme: str = "uniform"
+    descriptor: np.ndarray | None = None
+    descriptor_kind: str | None = None
 
     def __post_init__(self) -> None:
         direction = finite_rows("direction", self.direction)
@@ -58,8 +66,8 @@ class LineCloud:
             raise InputError(
                 f"got {len(direction)} directions and {len(moment)} moments; expected one moment for each line"
             )
-        if self.rgb is not None and self.rgb.shape != direction.shape:
-            raise InputError(f"got rgb of shape {self.rgb.shape}; expected ({len(direction)}, 3), one colour a line")
+        appearance = Appearance(self.rgb, self.descriptor, self.descriptor_kind)
+        appearance.check_rows(len(direction), "lines")
         length = np.linalg.norm(direction, axis=1, keepdims=True)
         refuse(np.abs(length[:, 0] - 1) > UNIT_TOLERANCE, "direction of length other than 1", "normalise the direction")
         direction = np.where(np.abs(length - 1) > _ROUNDING, direction / length, direction)
@@ -74,13 +82,15 @@ class LineCloud:
         for name, value in (("direction", direction), ("moment", moment)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "descriptor", appearance.descriptor)
+        object.__setattr__(self, "descriptor_kind", appearance.descriptor_kind)
 
     @classmethod
     def through(
         cls,
         point: Float[np.ndarray, "lines 3"],
         direction: Float[np.ndarray, "lines 3"],
-        rgb: UInt8[np.ndarray, "lines 3"] | None = None,
+        appearance: Appearance = NO_APPEARANCE,
         scheme: str = "uniform",
     ) -> LineCloud:
         """Make lines through ``point`` along ``direction`` (any length but zero); the position on it is not stored."""
@@ -93,7 +103,17 @@ class LineCloud:
         # The moment is computed at the foot of the perpendicular from the origin, so that its rounding also depends on
         # the line and hardly on the point.
         foot = point - np.sum(point * direction, axis=1, keepdims=True) * direction
-        return cls(direction, np.cross(foot, direction), rgb, scheme)
+        moment = np.cross(foot, direction)
+        return cls(direction, moment, appearance.rgb, scheme, appearance.descriptor, appearance.descriptor_kind)
+
+    @property
+    def appearance(self) -> Appearance:
+        """Colours and descriptors."""
+        return Appearance(self.rgb, self.descriptor, self.descriptor_kind)
+
+    def without(self, names: Collection[str]) -> LineCloud:
+        """Leave out published attributes, some of ``rgb`` and ``descriptor``."""
+        return self._with(self.direction, self.moment, self.appearance.without(names))
 
     @property
     def origin(self) -> Float[np.ndarray, "lines 3"]:
@@ -106,8 +126,12 @@ class LineCloud:
 
     def rows(self, index: Int[np.ndarray, " some"]) -> LineCloud:
         """Select lines by index, which may repeat."""
-        rgb = None if self.rgb is None else self.rgb[index]
-        return LineCloud(self.direction[index], self.moment[index], rgb, self.scheme)
+        return self._with(self.direction[index], self.moment[index], self.appearance.rows(index))
+
+    def _with(self, direction: np.ndarray, moment: np.ndarray, appearance: Appearance) -> LineCloud:
+        return LineCloud(
+            direction, moment, appearance.rgb, self.scheme, appearance.descriptor, appearance.descriptor_kind
+        )
 
     def __len__(self) -> int:
         return len(self.direction)

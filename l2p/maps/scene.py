@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from l2p.maps.appearance import Appearance
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -26,6 +28,15 @@ class Scene:
         Identifiers of the source (COLMAP ``point3D_id``).
     camera_centers : (cameras, 3) float64 or None
         Centres of the cameras that see the points, scene units.
+    descriptor : (points, length) uint8 or float32, or None
+        Descriptor of each point: the mean over its track, or one observation.
+    descriptor_kind : str or None
+        What computed the descriptors (:class:`l2p.maps.appearance.Appearance`).
+
+    Raises
+    ------
+    InputError
+        If colours or descriptors do not fit.
     """
 
     xyz: Float[np.ndarray, "points 3"]
@@ -34,6 +45,19 @@ class Scene:
     track_length: Int[np.ndarray, " points"] | None = None
     ids: Int[np.ndarray, " points"] | None = None
     camera_centers: Float[np.ndarray, "cameras 3"] | None = None
+    descriptor: np.ndarray | None = None
+    descriptor_kind: str | None = None
+
+    def __post_init__(self) -> None:
+        appearance = Appearance(self.rgb, self.descriptor, self.descriptor_kind)
+        appearance.check_rows(len(self.xyz), "points")
+        object.__setattr__(self, "descriptor", appearance.descriptor)
+        object.__setattr__(self, "descriptor_kind", appearance.descriptor_kind)
+
+    @property
+    def appearance(self) -> Appearance:
+        """Colours and descriptors."""
+        return Appearance(self.rgb, self.descriptor, self.descriptor_kind)
 
     def __len__(self) -> int:
         return len(self.xyz)

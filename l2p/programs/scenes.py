@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from l2p.errors import InputError
+from l2p.io.descriptors import BESIDE, with_descriptors
 from l2p.io.kinds import SCENES, kind_of
 from l2p.io.scene_files import load_scene
 from l2p.judging.accuracy import spacing
@@ -82,7 +83,8 @@ def load(source: str) -> Loaded:
 def scene_at(source: str) -> Scene:
     """Read or simulate a scene with all attributes of its points."""
     if not source.startswith("sim:"):
-        return load_scene(source)
+        scene, beside = load_scene(source), Path(source) / BESIDE
+        return with_descriptors(scene, beside) if beside.is_file() else scene
     _, kind, points, seed = source.split(":")
     return simulate(kind, int(points), int(seed))
 

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int, UInt8
 
 from l2p.checks import check_fraction, finite_rows
 from l2p.errors import InputError
+from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Hiding
@@ -23,6 +24,8 @@ def hide(
     fraction: float = 1.0,
     scheme: str = DEFAULT_SCHEME,
     rgb: UInt8[np.ndarray, "points 3"] | bool | None = None,
+    descriptor: np.ndarray | bool | None = None,
+    descriptor_kind: str | None = None,
 ) -> Hiding:
     """Hide points in a line cloud, and return it with the truth.
 
@@ -41,6 +44,11 @@ def hide(
     rgb : (points, 3) uint8 or bool, optional
         Colours to store with the lines; True stores those of the scene. They help an attacker; leave them out of a
         published map.
+    descriptor : (points, length) uint8 or float32, or bool, optional
+        Descriptors to store with the lines; True stores those of the scene. Cameras are localized by them, and they
+        help an attacker more than colours do.
+    descriptor_kind : str, optional
+        What computed given descriptors (:class:`l2p.maps.appearance.Appearance`).
 
     Returns
     -------
@@ -51,8 +59,8 @@ def hide(
     Raises
     ------
     InputError
-        If there are no points, a point is not finite, the fraction is outside (0, 1], the scheme is unknown, or the
-        colours are not those of the points.
+        If there are no points, a point is not finite, the fraction is outside (0, 1], the scheme is unknown, or
+        colours or descriptors are not those of the points.
 
     Notes
     -----
@@ -81,10 +89,10 @@ def hide(
     if len(xyz) == 0:
         raise InputError("got a scene without points; expected at least one point to lift")
     check_fraction(fraction)
-    way, colour = scheme_of(scheme), _colours(scene, rgb)
+    way, appearance = scheme_of(scheme), _published(scene, rgb, descriptor, descriptor_kind)
     # A separate stream: default_rng(seed) may have drawn the points, and would draw the same numbers as directions.
     rng = np.random.default_rng(None if seed is None else [seed, _STREAM])
-    hidden = way.hide(xyz, _subset(len(xyz), fraction, rng), rng, colour)
+    hidden = way.hide(xyz, _subset(len(xyz), fraction, rng), rng, appearance)
     ids = None if scene.ids is None else scene.ids[hidden.truth.index]
     return replace(hidden, truth=replace(hidden.truth, ids=ids, seed=seed))
 
@@ -95,6 +103,8 @@ def lift(
     fraction: float = 1.0,
     scheme: str = DEFAULT_SCHEME,
     rgb: UInt8[np.ndarray, "points 3"] | bool | None = None,
+    descriptor: np.ndarray | bool | None = None,
+    descriptor_kind: str | None = None,
 ) -> LineCloud:
     """Return the line cloud of :func:`hide`, without the truth.
 
@@ -102,7 +112,7 @@ def lift(
     >>> len(lift(np.zeros((4, 3)), seed=0))
     4
     """
-    return hide(points, seed, fraction, scheme, rgb).map
+    return hide(points, seed, fraction, scheme, rgb, descriptor, descriptor_kind).map
 
 
 def _subset(count: int, fraction: float, rng: np.random.Generator) -> Int[np.ndarray, " chosen"]:
@@ -111,13 +121,29 @@ def _subset(count: int, fraction: float, rng: np.random.Generator) -> Int[np.nda
     return rng.choice(count, size=max(1, round(count * fraction)), replace=False)
 
 
-def _colours(scene: Scene, rgb: UInt8[np.ndarray, "points 3"] | bool | None) -> UInt8[np.ndarray, "points 3"] | None:
-    if rgb is None or rgb is False:
+def _published(
+    scene: Scene,
+    rgb: UInt8[np.ndarray, "points 3"] | bool | None,
+    descriptor: np.ndarray | bool | None,
+    kind: str | None,
+) -> Appearance:
+    """Colours and descriptors to store: those given, or those of the scene for True."""
+    if descriptor is True:
+        kind = scene.descriptor_kind if kind is None else kind
+    given = (
+        _own(value, getattr(scene, name), f"{name}=True", what)
+        for value, name, what in ((rgb, "rgb", "colours"), (descriptor, "descriptor", "descriptors"))
+    )
+    appearance = Appearance(*given, kind)
+    appearance.check_rows(len(scene), "points")
+    return appearance
+
+
+def _own(value: np.ndarray | bool | None, of_scene: np.ndarray | None, flag: str, what: str) -> np.ndarray | None:
+    if value is None or value is False:
         return None
-    if rgb is True:
-        if scene.rgb is None:
-            raise InputError("got rgb=True for points without colours; leave it out, or give the colours")
-        return scene.rgb
-    if rgb.shape != scene.xyz.shape:
-        raise InputError(f"got rgb of shape {rgb.shape}; expected {scene.xyz.shape}, one colour a point")
-    return rgb
+    if value is not True:
+        return value
+    if of_scene is None:
+        raise InputError(f"got {flag} for points without {what}; leave it out, or give the {what}")
+    return of_scene

@@ -9,8 +9,9 @@ from l2p.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
-    from jaxtyping import Float, Int, UInt8
+    from jaxtyping import Float, Int
 
+    from l2p.maps.appearance import Appearance
     from l2p.maps.truth import Hiding
 
 DEFAULT_SCHEME = "uniform"
@@ -39,7 +40,7 @@ class Scheme(Protocol):
         points: Float[np.ndarray, "points 3"],
         chosen: Int[np.ndarray, " chosen"],
         rng: np.random.Generator,
-        rgb: UInt8[np.ndarray, "points 3"] | None,
+        appearance: Appearance,
     ) -> Hiding:
         """Draw the lines, in an order that does not depend on the points.
 
@@ -51,8 +52,8 @@ class Scheme(Protocol):
             Rows of the points to hide, in random order unless all are hidden.
         rng : numpy.random.Generator
             Source of all randomness.
-        rgb : (points, 3) uint8 or None
-            Colours to store with the lines.
+        appearance : Appearance
+            Colours and descriptors of all points of the scene, to be stored with the lines.
 
         Returns
         -------

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 
+from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
 from l2p.maps.truth import Hiding, Truth
 from l2p.schemes.rounding import within_lattice
@@ -21,14 +22,14 @@ class Uniform:
         points: Float[np.ndarray, "points 3"],
         chosen: Int[np.ndarray, " chosen"],
         rng: np.random.Generator,
-        rgb: UInt8[np.ndarray, "points 3"] | None,
+        appearance: Appearance,
     ) -> Hiding:
         """Draw a direction for each point, and sort the lines by it."""
         direction = half_space(rng.normal(size=(len(chosen), 3)))
         order = np.lexsort(direction.T)
         chosen, direction = chosen[order], direction[order]
         hidden = within_lattice(points, chosen, rng)
-        lines = LineCloud.through(hidden, direction, None if rgb is None else rgb[chosen], self.name)
+        lines = LineCloud.through(hidden, direction, appearance.rows(chosen), self.name)
         return Hiding(lines, Truth(points[chosen], chosen))
 
 

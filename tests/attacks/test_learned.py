@@ -77,7 +77,7 @@ def begun(lines: LineCloud, method: Learned) -> State:
     """The state before the first round."""
     frame = Frame.of(lines)
     with torch.inference_mode():
-        return method.begin(Elements.sorted(frame.enter(lines), frame, {}), None, Work())
+        return method.begin(Elements.sorted(frame.enter(lines), frame), None, Work())
 
 
 def test_threads_change_nothing(many: LineCloud) -> None:

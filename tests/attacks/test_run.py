@@ -47,7 +47,7 @@ def in_double(lines: LineCloud) -> np.ndarray:
     """The attack's points with double precision inside, too."""
     frame = Frame.of(lines)
     with torch.inference_mode():
-        elements = Elements.sorted(frame.enter(lines, dtype=torch.float64), frame, {})
+        elements = Elements.sorted(frame.enter(lines, dtype=torch.float64), frame)
         beta = locate(Heuristic(), elements, ALONE).beta[elements.row.argsort()]
     return lines.at(frame.leave(lines, beta))
 

@@ -14,6 +14,7 @@ import l2p
 from l2p.errors import InputError
 from l2p.geometry.frame import Frame
 from l2p.io.line_files import load_lines, save_lines, segments
+from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
 from l2p.schemes.hide import hide
 
@@ -22,7 +23,7 @@ def cloud_of(count: int = 20, seed: int = 0, colours: bool = False, offset: floa
     rng = np.random.default_rng(seed)
     point, direction = offset + rng.normal(size=(count, 3)), rng.normal(size=(count, 3))
     rgb = rng.integers(0, 256, size=(count, 3), dtype=np.uint8) if colours else None
-    return LineCloud.through(point, direction, rgb)
+    return LineCloud.through(point, direction, Appearance(rgb))
 
 
 def same_lines(first: LineCloud, second: LineCloud, tolerance: float = 1e-9) -> None:

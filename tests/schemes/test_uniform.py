@@ -87,7 +87,7 @@ def test_colours_follow_their_points(walk):
         ({"scheme": "paired"}, "got scheme 'paired'; expected one of uniform"),
         (
             {"rgb": np.zeros((4, 3), dtype=np.uint8)},
-            r"got rgb of shape \(4, 3\); expected \(5, 3\), one colour a point",
+            "got rgb of 4 rows for 5 points; expected one row each",
         ),
     ],
 )

@@ -14,7 +14,7 @@ class Pairs:
 
     name, answers = "pairs", 2
 
-    def hide(self, points, chosen, rng, rgb):
+    def hide(self, points, chosen, rng, appearance):
         pair = rng.permutation(chosen)[: len(chosen) // 2 * 2].reshape(-1, 2)
         lines = LineCloud.through(points[pair[:, 0]], points[pair[:, 1]] - points[pair[:, 0]], scheme=self.name)
         index = pair.ravel()
@@ -26,7 +26,7 @@ class Fakes:
 
     name, answers = "fakes", 1
 
-    def hide(self, points, chosen, rng, rgb):
+    def hide(self, points, chosen, rng, appearance):
         fake = rng.uniform(points.min(axis=0), points.max(axis=0), (len(chosen), 3))
         direction = half_space(rng.normal(size=(2 * len(chosen), 3)))
         order = np.lexsort(direction.T)

@@ -1,0 +1,111 @@
+"""Appearance: what a map publishes beside each line, the colour and the descriptor of its point."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from l2p.errors import InputError
+
+#: Attributes that can be published beside the lines, in the order in which they are named to users.
+ATTRIBUTES = ("rgb", "descriptor")
+#: Kind of a descriptor whose source does not say it.
+UNKNOWN_KIND = "unknown"
+#: Kinds that l2p names itself; any other name is allowed.
+SIFT = "sift"
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """Colours and descriptors of some points, each optional.
+
+    Attributes
+    ----------
+    rgb : (rows, 3) uint8 or None
+        Colours.
+    descriptor : (rows, length) uint8 or float32, or None
+        Descriptors: of one observation each, or means over tracks.
+    descriptor_kind : str or None
+        What computed the descriptors, in lower case: ``sift`` for COLMAP's; ``unknown`` by default. None without
+        descriptors.
+
+    Raises
+    ------
+    InputError
+        If a shape or a type does not fit, a descriptor has a number that is not finite, or a kind is given without
+        descriptors.
+    """
+
+    rgb: UInt8[np.ndarray, "rows 3"] | None = None
+    descriptor: Float[np.ndarray, "rows length"] | UInt8[np.ndarray, "rows length"] | None = None
+    descriptor_kind: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.rgb is not None and (self.rgb.dtype != np.uint8 or self.rgb.ndim != 2 or self.rgb.shape[1] != 3):
+            raise InputError(
+                f"got rgb of type {self.rgb.dtype}, shape {self.rgb.shape}; expected uint8 of shape (rows, 3)"
+            )
+        if self.descriptor is None:
+            if self.descriptor_kind is not None:
+                raise InputError(f"got descriptor kind {self.descriptor_kind!r} without descriptors; expected both")
+            return
+        object.__setattr__(self, "descriptor", _checked(self.descriptor))
+        kind = (self.descriptor_kind or UNKNOWN_KIND).strip().lower()
+        object.__setattr__(self, "descriptor_kind", kind or UNKNOWN_KIND)
+        if self.rgb is not None and len(self.rgb) != len(self.descriptor):
+            raise InputError(
+                f"got {len(self.rgb)} colours and {len(self.descriptor)} descriptors; expected equally many"
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the attributes that are present, in the order of ``ATTRIBUTES``."""
+        return tuple(name for name in ATTRIBUTES if getattr(self, name) is not None)
+
+    def check_rows(self, rows: int, of: str) -> None:
+        """Refuse attributes that are not of ``rows`` points or lines; ``of`` names them."""
+        for name in self.names:
+            got = len(getattr(self, name))
+            if got != rows:
+                raise InputError(f"got {name} of {got} rows for {rows} {of}; expected one row each")
+
+    def rows(self, index: Int[np.ndarray, " some"] | Bool[np.ndarray, " rows"]) -> Appearance:
+        """Select rows by index or mask."""
+        rgb, descriptor = (None if value is None else value[index] for value in (self.rgb, self.descriptor))
+        return Appearance(rgb, descriptor, self.descriptor_kind)
+
+    def without(self, names: Collection[str]) -> Appearance:
+        """Leave out attributes by name; InputError if a name is unknown."""
+        for name in names:
+            if name not in ATTRIBUTES:
+                raise InputError(f"got attribute {name!r} to leave out; expected some of {', '.join(ATTRIBUTES)}")
+        rgb = None if "rgb" in names else self.rgb
+        return Appearance(rgb) if "descriptor" in names else Appearance(rgb, self.descriptor, self.descriptor_kind)
+
+
+#: Geometry alone.
+NO_APPEARANCE = Appearance()
+
+
+def _checked(descriptor: np.ndarray) -> np.ndarray:
+    """Descriptors as uint8 or float32."""
+    descriptor = np.asarray(descriptor)
+    if descriptor.ndim != 2 or descriptor.shape[1] < 1 or descriptor.dtype.kind not in "fiu":
+        raise InputError(
+            f"got descriptors of type {descriptor.dtype}, shape {descriptor.shape}; expected numbers of shape "
+            "(rows, length)"
+        )
+    if descriptor.dtype == np.uint8:
+        return descriptor
+    with np.errstate(over="ignore"):  # a number that is too large becomes infinite
+        descriptor = descriptor.astype(np.float32)
+    bad = ~np.isfinite(descriptor).all(axis=1)
+    if bad.any():
+        raise InputError(
+            f"got {int(bad.sum())} descriptor(s) that are NaN or infinite, first in row {int(np.argmax(bad))}; remove "
+            "them"
+        )
+    return descriptor
