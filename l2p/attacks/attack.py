@@ -113,6 +113,10 @@ class Attack:
     line_bytes: float | None = None
     columns: Mapping[str, tuple[int, ...]] = {}
 
+    def uses(self, appearance: Appearance) -> tuple[str, ...]:
+        """Return the names of the published attributes that the attack uses: none, if it uses geometry alone."""
+        return ()
+
     def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> Any:
         """Return the state before the first round, or after the last saved one.
 

@@ -128,6 +128,7 @@ def run(
     info = {
         "method": name or type(attack).__name__,
         "settings": attack.settings(),
+        "used": list(attack.uses(lines.appearance)),
         "device": str(where),
         "seconds": time.perf_counter() - began,
     }
