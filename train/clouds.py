@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from l2p.attacks.attack import Elements
+from l2p.attacks.attack import Elements, attributes_of
 from l2p.attacks.learned.learned import Learned, State
 from l2p.attacks.learned.nodes import Nodes
 from l2p.attacks.tomography.posterior import Posterior
@@ -21,6 +22,7 @@ from l2p.judging.accuracy import spacing
 from l2p.maps.scene import Scene
 from l2p.programs.scenes import scene_at
 from l2p.schemes.hide import hide
+from train.likeness import Embeddings, observed, variance_of
 from train.losses import Sample, soft_labels
 
 #: Number of true neighbours whose distance is the local radius.
@@ -29,11 +31,17 @@ TRUE_NEIGHBORS = 25
 
 @dataclass(frozen=True)
 class CloudSource:
-    """One line cloud of a scene: ``scene`` is a file or ``sim:kind:points:seed``."""
+    """One line cloud of a scene: ``scene`` is a file or ``sim:kind:points:seed``.
+
+    ``known`` names the attributes that are published with the lines; ``observed`` replaces means over tracks by single
+    observations of the descriptors.
+    """
 
     scene: str
     fraction: float
     seed: int
+    known: tuple[str, ...] = ()
+    observed: bool = False
 
     @property
     def name(self) -> str:
@@ -79,24 +87,49 @@ class Cloud:
         )
 
 
-def lifted(source: CloudSource, attack: Learned, device: torch.device | str = "cpu") -> Cloud:
-    """Lift the cloud of a source, reproducibly, and run the attack's tomography."""
-    points = read(source.scene).xyz
-    hidden = hide(points, source.seed, source.fraction)
+def lifted(
+    source: CloudSource, attack: Learned, embeddings: Embeddings | None = None, device: torch.device | str = "cpu"
+) -> Cloud:
+    """Lift the cloud of a source, reproducibly, and run the attack's tomography.
+
+    The likeness is that of the embedding that did not see the scene; without ``embeddings``, that of the attack's own.
+    """
+    scene = read(source.scene)
+    descriptor = _descriptors(scene, source)
+    hidden = hide(
+        scene,
+        source.seed,
+        source.fraction,
+        rgb="rgb" in source.known,
+        descriptor=descriptor,
+        descriptor_kind=None if descriptor is None else scene.descriptor_kind,
+    )
     lines, truth = hidden.map, hidden.truth.xyz
     frame = Frame.of(lines)
     inside = frame.enter(lines, device)
     near = nearest_neighbors(truth, TRUE_NEIGHBORS, workers=torch.get_num_threads()).distance[:, -1]
     point = frame.enter_points(truth, device)
     posterior = reconstruct(inside, attack.config.tomography)
+    published = attributes_of(lines.appearance, torch.device(device))
+    elements = Elements(inside, torch.arange(len(lines), device=device), frame, published, lines.descriptor_kind)
+    blind = None if embeddings is None else embeddings.blind_to(source.scene)
     return Cloud(
-        elements=Elements(inside, torch.arange(len(lines), device=device), frame),
+        elements=attack.seen(elements, blind),
         posterior=posterior,
         first_nodes=attack.first_nodes(inside, posterior),
         true_beta=((point - inside.foot) * inside.direction).sum(dim=1),
         radius=torch.as_tensor(near / frame.unit, dtype=torch.float32, device=device),
         spacing=spacing(truth) / frame.unit,
     )
+
+
+def _descriptors(scene: Scene, source: CloudSource) -> np.ndarray | None:
+    if "descriptor" not in source.known or scene.descriptor is None:
+        return None
+    if not source.observed:
+        return scene.descriptor
+    draw = torch.Generator().manual_seed(source.seed)
+    return observed(torch.as_tensor(scene.descriptor.astype(np.float32)), variance_of(scene), draw).numpy()
 
 
 @lru_cache(maxsize=256)

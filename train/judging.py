@@ -84,6 +84,7 @@ def figures(
     return {
         "scene": source.name,
         "fraction": source.fraction,
+        "known": list(source.known),
         "lines": len(error),
         "median": [round(float(part.error.median()), 4) for part in judged],
         "within": [round(float((part.error <= 1).float().mean()), 4) for part in judged],

@@ -21,6 +21,7 @@ from l2p.attacks.learned.learned import Learned, LearnedConfig
 from l2p.attacks.learned.network import Judgement, LineTransformer
 from train.clouds import CloudSource, lifted
 from train.judging import rounds_of
+from train.likeness import Embeddings
 from train.losses import losses
 from train.pool import Pool
 from train.sources import Sources
@@ -47,8 +48,10 @@ class NetworkModule(lightning.LightningModule):
         fit: FitSettings,
         sources: Sources,
         held_back: Sequence[CloudSource],
+        embeddings: Embeddings | None = None,
     ) -> None:
         super().__init__()
+        self.embeddings = embeddings
         self.network = network
         self.average = copy.deepcopy(network).requires_grad_(False)
         self.probe = nn.Linear(network.config.state, 1)
@@ -67,7 +70,8 @@ class NetworkModule(lightning.LightningModule):
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """Return AdamW on all weights but the average."""
-        weights = [*self.network.parameters(), *self.probe.parameters()]
+        weights = [weight for weight in self.network.parameters() if weight.requires_grad]
+        weights += self.probe.parameters()
         return torch.optim.AdamW(weights, lr=self.fit.learning_rate, weight_decay=self.fit.weight_decay)
 
     def train_dataloader(self) -> Iterable[int]:
@@ -88,7 +92,7 @@ class NetworkModule(lightning.LightningModule):
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
         self._began = time.monotonic()
         rank, ranks = self.global_rank, self.trainer.world_size
-        self.pool = Pool(self.sources, self.attack, self.fit.clouds, self.fit.seed, rank, ranks)
+        self.pool = Pool(self.sources, self.attack, self.fit.clouds, self.fit.seed, rank, ranks, self.embeddings)
         if rank < len(self._pools_before):
             self.pool.load_state_dict(self._pools_before[rank])
 
@@ -140,7 +144,9 @@ class NetworkModule(lightning.LightningModule):
         """Run all rounds of the averaged network on a held-back cloud; all clouds have equal weight."""
         figures = torch.zeros(len(_FIGURES))
         if batch < len(self.held_back):
-            error = rounds_of(lifted(self.held_back[batch], self.attack, self.device), self.attack)[-1].error
+            error = rounds_of(lifted(self.held_back[batch], self.attack, self.embeddings, self.device), self.attack)[
+                -1
+            ].error
             # Clamped, so that an error of 0 does not give an infinite score.
             score = error.median().clamp_min(1e-3).log()
             figures = torch.stack([score, error.median(), (error <= 1).float().mean()]) / len(self.held_back)

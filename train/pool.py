@@ -21,6 +21,7 @@ from l2p.attacks.learned.learned import Learned
 from l2p.attacks.learned.network import Judgement
 from l2p.attacks.learned.nodes import Estimates, Nodes, nodes_of
 from train.clouds import Cloud, CloudSource, lifted
+from train.likeness import Embeddings
 from train.losses import Sample
 from train.sources import Sources
 
@@ -56,11 +57,21 @@ class Pool:
     seed : int
     rank, ranks : int
         Rank of this process, and number of ranks; each takes its own sources.
+    embeddings : Embeddings, optional
+        For cross-fitted likeness (:mod:`train.likeness`).
     """
 
     def __init__(
-        self, sources: Sources, attack: Learned, clouds: int, seed: int, rank: int = 0, ranks: int = 1
+        self,
+        sources: Sources,
+        attack: Learned,
+        clouds: int,
+        seed: int,
+        rank: int = 0,
+        ranks: int = 1,
+        embeddings: Embeddings | None = None,
     ) -> None:
+        self.embeddings = embeddings
         self.sources, self.attack, self.seed, self.rank, self.ranks = sources, attack, seed, rank, ranks
         self.drawn = 0
         self.entries = [self._fresh() for _ in range(clouds)]
@@ -110,7 +121,7 @@ class Pool:
         self.entries = []
         for part in state["entries"]:
             source = self.sources[part["number"]]
-            cloud = lifted(source, self.attack)
+            cloud = lifted(source, self.attack, self.embeddings)
             nodes = cloud.first_nodes
             if part["round"]:
                 before = Estimates(*part["before"])
@@ -124,7 +135,7 @@ class Pool:
         number = self.drawn * self.ranks + self.rank
         self.drawn += 1
         source = self.sources[number]
-        cloud = lifted(source, self.attack)
+        cloud = lifted(source, self.attack, self.embeddings)
         return self._entry(source, cloud, number, 0, cloud.first_nodes)
 
     def _after(self, entry: Entry) -> Entry:

@@ -17,6 +17,7 @@ from l2p.checks import check_fraction
 from l2p.errors import InputError
 from l2p.simulator import MAX_POINTS, MIN_POINTS
 from l2p.work.threads import MOST_THREADS
+from train.likeness import EmbeddingSettings
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "train"
 
@@ -36,7 +37,11 @@ def _keys_of(default: Any) -> Any:
     return make_dataclass(f"{type(default).__name__}Keys", keys)
 
 
-NetworkKeys, LearnedKeys = _keys_of(NetworkConfig()), _keys_of(LearnedConfig())
+NetworkKeys, LearnedKeys, EmbeddingKeys = (
+    _keys_of(NetworkConfig()),
+    _keys_of(LearnedConfig()),
+    _keys_of(EmbeddingSettings()),
+)
 
 
 @dataclass
@@ -58,7 +63,11 @@ class DataSettings:
     scenes: list[str] = MISSING
     simulated: int = MISSING
     simulated_points: list[int] = MISSING
+    maps: list[str] = MISSING
+    map_turns: int = MISSING
+    absent: float = MISSING
     val: list[str] = MISSING
+    val_maps: list[str] = MISSING
     val_fractions: list[float] = MISSING
     min_lines: int = MISSING
     max_lines: int = MISSING
@@ -87,11 +96,13 @@ class TrainConfig(DataSettings, FitSettings):
     """Keys of ``configs/train/train.yaml``, which explains each."""
 
     name: str = MISSING
+    start: str | None = None
     run: str = MISSING
     threads: int | None = None
     trainer: TrainerKeys = field(default_factory=TrainerKeys)
     network: NetworkKeys = field(default_factory=NetworkKeys)  # type: ignore[valid-type]
     learned: LearnedKeys = field(default_factory=LearnedKeys)  # type: ignore[valid-type]
+    embedding: EmbeddingKeys = field(default_factory=EmbeddingKeys)  # type: ignore[valid-type]
 
 
 ConfigStore.instance().store(name="train_schema", node=TrainConfig)
@@ -106,6 +117,8 @@ class Settings:
     fit: FitSettings
     network: NetworkConfig
     learned: LearnedConfig
+    embedding: EmbeddingSettings
+    start: str | None
     trainer: dict[str, Any]
     resolved: dict[str, Any]
 
@@ -116,7 +129,9 @@ CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "trainer"
 _LEAST = {
     "min_lines": 2,
     **dict.fromkeys(("seed", "simulated", "warmup"), 0),
-    **dict.fromkeys(("steps", "clouds", "lines_per_batch", "validate_every", "patience", "save_every", "threads"), 1),
+    **dict.fromkeys(
+        ("map_turns", "steps", "clouds", "lines_per_batch", "validate_every", "patience", "save_every", "threads"), 1
+    ),
 }
 
 
@@ -131,9 +146,10 @@ def settings_of(config: DictConfig) -> Settings:
     resolved: Any = OmegaConf.to_container(config, resolve=True)
     _check(resolved)
     try:
-        network, learned = (
+        network, learned, embedding = (
             configured(NetworkConfig, resolved["network"]),
             configured(LearnedConfig, resolved["learned"]),
+            configured(EmbeddingSettings, resolved["embedding"]),
         )
     except ValueError as error:
         raise InputError(str(error)) from error
@@ -143,6 +159,8 @@ def settings_of(config: DictConfig) -> Settings:
         fit=FitSettings(**_some(FitSettings, resolved)),
         network=network,
         learned=learned,
+        embedding=embedding,
+        start=resolved["start"],
         trainer=resolved["trainer"],
         resolved=resolved,
     )
@@ -164,9 +182,11 @@ def _check(resolved: dict[str, Any]) -> None:
             raise InputError(f"got {key} {resolved[key]}; expected a number that is not negative")
     if resolved["minutes"] is not None and not resolved["minutes"] > 0:
         raise InputError(f"got minutes {resolved['minutes']}; expected more than 0, or null")
-    if not resolved["scenes"] and resolved["simulated"] < 1:
+    if not resolved["scenes"] and not resolved["maps"] and resolved["simulated"] < 1:
         raise InputError("got no scenes and no simulated ones; expected scenes=[FOLDER] or simulated=12")
-    if not resolved["val"]:
+    if not 0 <= resolved["absent"] <= 1:
+        raise InputError(f"got absent {resolved['absent']}; expected a chance in [0, 1]")
+    if not resolved["val"] and not resolved["val_maps"]:
         raise InputError("got no val scenes; expected at least one, to calibrate the confidence")
     if resolved["max_lines"] < resolved["min_lines"]:
         raise InputError(f"got max_lines {resolved['max_lines']}; expected at least min_lines, {resolved['min_lines']}")

@@ -23,18 +23,21 @@ from lightning.pytorch.utilities.exceptions import SIGTERMException
 
 from l2p.attacks.learned import checkpoint
 from l2p.attacks.learned.checkpoint import Checkpoint
-from l2p.attacks.learned.learned import Learned
+from l2p.attacks.learned.learned import LINES_ALONE, Learned, knowledges
 from l2p.attacks.learned.network import LineTransformer
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.judging.provenance import machine, versions
 from l2p.programs.commits import commit
 from l2p.work.progress import terminal_progress
-from train.clouds import lifted
+from train import likeness
+from train.clouds import CloudSource, lifted, read
 from train.judging import Judged, calibrate, figures, rounds_of
 from train.lightning_parts import AtomicCheckpoints, FigureTable
+from train.likeness import Embeddings
 from train.module import NetworkModule
 from train.sources import Sources, validation_sources
+from train.start import start_from
 from train.train_config import CHANGEABLE, Settings
 
 log = logging.getLogger("train")
@@ -52,6 +55,8 @@ _MEANT = (
 
 #: The exported model in the folder of the run.
 MODEL = "model.safetensors"
+#: The embeddings of the run, cross-fitted.
+EMBEDDINGS = "embeddings.ckpt"
 
 
 def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequence[Callback] = ()) -> Path:
@@ -69,10 +74,16 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
         torch.set_num_threads(settings.threads)
     sources, held_back = Sources.of(settings.data), validation_sources(settings.data)
     log.info("%d scenes, %d clouds held back", len(sources.scenes), len(held_back))
+    embeddings = _embeddings(settings, folder / EMBEDDINGS, sources, held_back)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.fit.seed)
         network = LineTransformer(settings.network)
-        module = NetworkModule(network, settings.learned, settings.fit, sources, held_back)
+        if settings.start is not None:
+            start_from(network, Path(settings.start))
+        if embeddings is not None:
+            network.embedding.load_state_dict(embeddings.whole.state_dict())
+            network.embedding.requires_grad_(False)
+        module = NetworkModule(network, settings.learned, settings.fit, sources, held_back, embeddings)
     last = folder / "last.ckpt"
     if last.exists():
         _check_state(last)
@@ -93,7 +104,7 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
             "minutes": round(module.seconds / 60, 2),
             "processes": trainer.world_size,
         }
-        _export(settings, model, command, module.average.cpu(), sources, about)
+        _export(settings, model, command, module.average.cpu(), sources, embeddings, about)
     return model
 
 
@@ -145,6 +156,7 @@ def _export(
     command: str,
     network: LineTransformer,
     sources: Sources,
+    embeddings: Embeddings | None,
     about: dict[str, Any],
 ) -> None:
     """Calibrate and judge the network on the held-back clouds; write the checkpoint, and its facts as JSON."""
@@ -153,24 +165,29 @@ def _export(
     judged: list[list[Judged]] = []
     with terminal_progress().task("held-back clouds", total=len(held_back)) as advance:
         for source in held_back:
-            judged.append(rounds_of(lifted(source, attack), attack))
+            judged.append(rounds_of(lifted(source, attack, embeddings), attack))
             advance(1)
-    calibration = [
-        calibrate(cast("Sequence[Judged]", part), network.config.radii) for part in zip(*judged, strict=True)
-    ]
+    names = ["+".join(source.known) or LINES_ALONE for source in held_back]
+    calibration = {}
+    for known in knowledges(network.config):
+        # A run without such maps has nothing to calibrate it on; that of lines alone is closest.
+        name = known if known in names else LINES_ALONE
+        own = [part for part, of in zip(judged, names, strict=True) if of == name]
+        rounds = cast("list[Sequence[Judged]]", list(zip(*own, strict=True)))
+        calibration[known] = [calibrate(part, network.config.radii) for part in rounds]
     results = [
-        figures(source, part, calibration[-1], network.config.one)
-        for source, part in zip(held_back, judged, strict=True)
+        figures(source, part, calibration[name][-1], network.config.one)
+        for source, part, name in zip(held_back, judged, names, strict=True)
     ]
     for row in results:
-        log.info("%(scene)s at %(fraction)g: median %(median)s, within %(within)s", row)
+        log.info("%(scene)s at %(fraction)g with %(known)s: median %(median)s, within %(within)s", row)
     facts = {
         "command": command,
         "commit": commit(),
         "machine": machine(),
         "versions": {**versions(), "lightning": lightning.__version__},
         "seed": settings.fit.seed,
-        "scenes": sorted(Path(scene).name for scene, _ in sources.scenes),
+        "scenes": sorted({_listed(scene.source) for scene in sources.scenes}),
         **about,
         "results": results,
         "config": settings.resolved,
@@ -179,6 +196,27 @@ def _export(
     with atomic_file(model.with_name("results.json"), overwrite=True) as file:
         file.write(json.dumps(facts, indent=2, ensure_ascii=False).encode())
     log.info("%s: %d parameters", model, sum(parameter.numel() for parameter in network.parameters()))
+
+
+def _listed(source: str) -> str:
+    """Name of a scene in the record, with its part and folder: scenes and maps of one place share their name."""
+    return source if source.startswith("sim:") else "/".join(Path(source).parts[-3:])
+
+
+def _embeddings(
+    settings: Settings, file: Path, sources: Sources, held_back: Sequence[CloudSource]
+) -> Embeddings | None:
+    """Load the embeddings of the run, or train them on its scenes, also those held back: their likeness is
+    cross-fitted. None if the network does not use any."""
+    if not settings.network.appearance:
+        return None
+    if not file.exists():
+        scenes = {one.source: read(one.source) for one in sources.scenes if one.names}
+        scenes |= {one.scene: read(one.scene) for one in held_back if one.known}
+        seed, progress = settings.fit.seed, terminal_progress()
+        found = likeness.fitted(scenes, settings.network, settings.embedding, seed, progress)
+        likeness.save(found, file)
+    return likeness.load(file, settings.network)
 
 
 def _sweep(folder: Path) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
@@ -35,7 +36,7 @@ class Candidates:
     chosen : (rows, k)
         Indices of their candidates; -1 is padding.
     attributes : mapping
-        Data published with each line (:class:`l2p.attacks.attack.Elements`).
+        Published attributes that the attack uses, and ``appearance``, their embedding, if there are any.
     """
 
     lines: Lines
@@ -44,7 +45,7 @@ class Candidates:
     rows: Int[Tensor, " rows"]
     chosen: Int[Tensor, "rows k"]
     first: int = 0
-    attributes: Mapping[str, Shaped[Tensor, "lines ..."]] = field(default_factory=dict)
+    attributes: Mapping[str, Any] = field(default_factory=dict)
 
     def own(self, column: Shaped[Tensor, "lines ..."]) -> Shaped[Tensor, "rows 1 ..."]:
         """Select the entries of the lines themselves."""
@@ -142,6 +143,12 @@ class Candidates:
         """Distance of the candidate from the line's estimate."""
         direction, moment = self._other_lines
         return point_line_distance(self.here.expand_as(direction), direction, moment)
+
+    @cached_property
+    def likeness(self) -> Float[Tensor, "rows k"]:
+        """Log likelihood ratio of the appearances of line and candidate; 0 if nothing is published."""
+        appearance = self.attributes.get("appearance")
+        return torch.zeros_like(self.scale) if appearance is None else appearance.likeness(self.rows, self.index)
 
     @cached_property
     def side(self) -> Float[Tensor, "rows 1"]:

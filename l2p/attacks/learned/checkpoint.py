@@ -21,14 +21,14 @@ from torch import Tensor
 
 from l2p.attacks.learned.inputs import inputs_of
 from l2p.attacks.learned.inputs.family import Inputs
-from l2p.attacks.learned.learned import Learned, LearnedConfig
+from l2p.attacks.learned.learned import Calibrations, Learned, LearnedConfig, knowledges
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.settings import LearnedSettings
 from l2p.checks import check_fraction
 from l2p.errors import InputError
 
 #: Version of the file format; a reader refuses versions that it does not know.
-FORMAT = 4
+FORMAT = 5
 _FORMAT_KEY = "l2p_format"
 #: Hexadecimal digits of a digest: enough to distinguish checkpoints.
 _DIGITS = 12
@@ -46,8 +46,8 @@ class Checkpoint:
         Its configuration names the families of inputs.
     config : LearnedConfig
         Rounds, tomography, local scales and surfaces.
-    calibration : sequence of sequences of (float, float)
-        (a, b) for each round and radius: sigmoid(a found + b) is the probability of lying within the radius.
+    calibration : mapping
+        (a, b) for each knowledge, round and radius: sigmoid(a found + b) is the probability of lying within the radius.
     facts : dict
         Record of the training: plain values.
     inputs : sequence of Inputs
@@ -56,7 +56,7 @@ class Checkpoint:
 
     network: LineTransformer
     config: LearnedConfig
-    calibration: Sequence[Sequence[tuple[float, float]]]
+    calibration: Calibrations
     facts: dict[str, Any] = field(default_factory=dict)
     inputs: Sequence[Inputs] = ()
 
@@ -104,7 +104,12 @@ def save(path: str | PathLike[str], checkpoint: Checkpoint, *, overwrite: bool =
                 for name, family in zip(checkpoint.network.config.inputs, checkpoint.inputs, strict=True)
             }
         ),
-        "calibration": json.dumps([[list(pair) for pair in part] for part in checkpoint.calibration]),
+        "calibration": json.dumps(
+            {
+                known: [[list(pair) for pair in part] for part in parts]
+                for known, parts in checkpoint.calibration.items()
+            }
+        ),
         "facts": json.dumps(checkpoint.facts, ensure_ascii=False),
     }
     with atomic_file(path, overwrite=overwrite) as file:
@@ -155,19 +160,32 @@ def read(path: str | PathLike[str]) -> Checkpoint:
     try:
         size = configured(NetworkConfig, json.loads(metadata["network"]))
         config = configured(LearnedConfig, json.loads(metadata["learned"]))
-        calibration = [[(float(a), float(b)) for a, b in part] for part in json.loads(metadata["calibration"])]
+        calibration = {
+            known: [[(float(a), float(b)) for a, b in part] for part in parts]
+            for known, parts in json.loads(metadata["calibration"]).items()
+        }
         constants = dict(json.loads(metadata["inputs"]))
         facts = dict(json.loads(metadata["facts"]))
         inputs = inputs_of(size.inputs, constants)
-    except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
+    except (KeyError, AttributeError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise InputError(f"{path} has a damaged header ({error}); download or train the checkpoint again") from error
-    if len(calibration) != config.rounds or any(len(part) != len(size.radii) for part in calibration):
-        raise InputError(
-            f"{path} has {len(calibration)} calibrations for {config.rounds} rounds; expected one a round and radius"
-        )
-    if not all(math.isfinite(number) for part in calibration for pair in part for number in pair):
+    _check_calibration(path, calibration, size, config)
+    numbers = [number for parts in calibration.values() for part in parts for pair in part for number in pair]
+    if not all(map(math.isfinite, numbers)):
         raise InputError(f"{path} has calibrations that are NaN or infinite; it is damaged")
     return Checkpoint(network_of(path, size, tensors), config, calibration, facts, inputs)
+
+
+def _check_calibration(path: Path, calibration: Calibrations, size: NetworkConfig, config: LearnedConfig) -> None:
+    expected = knowledges(size)
+    if set(calibration) != set(expected):
+        raise InputError(f"{path} has calibrations of {', '.join(calibration)}; expected {', '.join(expected)}")
+    for known, parts in calibration.items():
+        if len(parts) != config.rounds or any(len(part) != len(size.radii) for part in parts):
+            raise InputError(
+                f"{path} has {len(parts)} calibrations of {known} for {config.rounds} rounds; expected one a round and "
+                "radius"
+            )
 
 
 def configured(kind: type[Config], values: dict[str, Any]) -> Config:
@@ -210,7 +228,7 @@ def _check_format(path: Path, metadata: dict[str, str]) -> None:
         raise InputError(f"{path} is a safetensors file of another program; expected a checkpoint of l2p")
     if int(written) != FORMAT:
         mend = "update l2p" if int(written) > FORMAT else "train or download it again"
-        if int(written) == 3:
+        if int(written) == 4:
             mend = "convert it: python -m train.convert OLD NEW"
         raise InputError(f"{path} has format {written}, this version of l2p reads format {FORMAT}; {mend}")
 

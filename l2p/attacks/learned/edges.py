@@ -19,7 +19,8 @@ class Edges(NamedTuple):
     ``vote`` holds one position on the line per kind of vote, and ``foot`` that of the foot of the candidate's estimate,
     both relative to the line's estimate. ``point_line`` is the distance of the candidate's estimate from the line,
     ``scale`` its local scale, ``confidence`` its confidence. ``side`` is 1 or -1, the positive side of the line, the
-    same for all candidates. ``valid`` is False for padding.
+    same for all candidates. ``likeness`` is the log likelihood ratio of the appearances, 0 without any. ``valid`` is
+    False for padding.
     """
 
     vote: Float[Tensor, "lines k votes"]
@@ -30,6 +31,7 @@ class Edges(NamedTuple):
     feature: Float[Tensor, "lines k features"]
     state: Float[Tensor, "lines k state"]
     side: Float[Tensor, "lines k"]
+    likeness: Float[Tensor, "lines k"]
     valid: Bool[Tensor, "lines k"]
 
 
@@ -77,6 +79,7 @@ def edges_of(pairs: Candidates, inputs: Sequence[Inputs]) -> Edges:
         feature=feature,
         state=pairs.other(pairs.nodes.state),
         side=sign.expand_as(scale),
+        likeness=pairs.likeness,
         valid=pairs.valid,
     )
 

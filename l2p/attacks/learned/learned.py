@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -19,9 +19,10 @@ from torch import Tensor
 from l2p.attacks.attack import Attack, Elements, Estimate
 from l2p.attacks.learned.candidates import Candidates
 from l2p.attacks.learned.edges import Edges, edges_of
+from l2p.attacks.learned.embedding import Embedding, embedded
 from l2p.attacks.learned.inputs import inputs_of
 from l2p.attacks.learned.inputs.family import Inputs
-from l2p.attacks.learned.network import NOTHING, Judgement, LineTransformer
+from l2p.attacks.learned.network import NOTHING, Judgement, LineTransformer, NetworkConfig
 from l2p.attacks.learned.nodes import Estimates, Nodes, NodesConfig, described, neighborhood, nodes_of
 from l2p.attacks.peak import PeakConfig, find_peak, settled
 from l2p.attacks.tomography.posterior import Posterior, mass_within, modes
@@ -31,6 +32,7 @@ from l2p.attacks.votes import equal_weights
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.nearest import nearest_points_to_lines
+from l2p.maps.appearance import ATTRIBUTES, Appearance
 from l2p.work.shards import BLOCK
 from l2p.work.work import ALONE, Work
 
@@ -90,6 +92,12 @@ class LearnedConfig:
                 raise InputError(f"got {name} {getattr(self, name)} of the learned attack; expected more than 0")
 
 
+#: Knowledge of an attack that sees lines alone.
+LINES_ALONE = "lines"
+#: For each knowledge, round and radius, (a, b).
+Calibrations = Mapping[str, Sequence[Sequence[tuple[float, float]]]]
+
+
 class Round(NamedTuple):
     """Result of a round: estimates of all lines; candidates, affinities and logits of this process's lines.
 
@@ -117,9 +125,9 @@ class Learned(Attack):
     ----------
     network : LineTransformer
     config : LearnedConfig, optional
-    calibration : sequence of sequences of (a, b), optional
-        For each round and radius: sigmoid(a found + b) is the probability that the error is within the radius. The
-        confidence passed from round to round is uncalibrated.
+    calibration : mapping, optional
+        For each knowledge (:func:`knowledge`), round and radius (a, b): sigmoid(a found + b) is the probability that
+        the error is within the radius. The confidence passed from round to round is uncalibrated.
     fraction : float
         Fraction of the map's points in the line cloud, as far as it is known. The confidence is that of lying within
         1 spacing of the *map*, which is smaller than that of a thinned cloud.
@@ -131,14 +139,14 @@ class Learned(Attack):
     Raises
     ------
     InputError
-        If there are fewer calibrations than rounds.
+        If a knowledge is not calibrated, or has fewer calibrations than rounds.
     """
 
     def __init__(
         self,
         network: LineTransformer,
         config: LearnedConfig | None = None,
-        calibration: Sequence[Sequence[tuple[float, float]]] | None = None,
+        calibration: Calibrations | None = None,
         fraction: float = 1.0,
         inputs: Sequence[Inputs] | None = None,
         source: dict[str, str] | None = None,
@@ -146,11 +154,14 @@ class Learned(Attack):
         self.network = network
         self.config = config or LearnedConfig()
         self.inputs = inputs_of(network.config.inputs) if inputs is None else tuple(inputs)
-        self.calibration = calibration or [[(1.0, 0.0)] * len(network.config.radii)] * self.config.rounds
-        if len(self.calibration) < self.config.rounds:
-            raise InputError(
-                f"got {len(self.calibration)} calibrations for {self.config.rounds} rounds; expected as many"
-            )
+        identity = [[(1.0, 0.0)] * len(network.config.radii)] * self.config.rounds
+        self.calibration = dict.fromkeys(knowledges(network.config), identity) if calibration is None else calibration
+        for known in knowledges(network.config):
+            count = len(self.calibration.get(known, ()))
+            if count < self.config.rounds:
+                raise InputError(
+                    f"got {count} calibrations of {known} for {self.config.rounds} rounds; expected as many"
+                )
         self.fraction, self.source = fraction, source or {}
         # Without rounds, the confidence comes from the tomography and only ranks.
         self.calibrated = self.config.rounds > 0
@@ -163,6 +174,7 @@ class Learned(Attack):
     def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> State:
         """Reconstruct the posterior; the first estimates are its modes."""
         self.network.eval().to(elements.row.device)
+        elements = self.seen(elements)
         posterior = reconstruct(elements.lines, self.config.tomography, work)
         if saved is None:
             return State(elements, posterior, self.first_nodes(elements.lines, posterior, work))
@@ -182,7 +194,8 @@ class Learned(Attack):
         own = work.own(len(state.elements))
         if self.config.rounds:
             last = self.judge(state, work)
-            return Estimate(last.estimates.beta[own], self.confidence(last), last.candidates, last.affinity)
+            confidence = self.confidence(last, knowledge(state.elements))
+            return Estimate(last.estimates.beta[own], confidence, last.candidates, last.affinity)
         nodes, candidates = state.nodes, self.candidates(state.elements.lines, state.nodes, work)
         affinity = equal_weights(state.elements.lines, candidates)
         return Estimate(nodes.beta[own], nodes.confidence[own], candidates, affinity)
@@ -197,6 +210,24 @@ class Learned(Attack):
         }
 
     # Parts of a round
+
+    def uses(self, appearance: Appearance) -> tuple[str, ...]:
+        """Return the attributes that the network knows: colours, and descriptors of its kind."""
+        config = self.network.config
+        if not config.appearance:
+            return ()
+        known = appearance.descriptor_kind == config.kind
+        return tuple(name for name in appearance.names if name != "descriptor" or known)
+
+    def seen(self, elements: Elements, embedding: Embedding | None = None) -> Elements:
+        """Keep the attributes that the network knows, and add their embedding; default: by the network's own."""
+        config = self.network.config
+        known = {"rgb": config.appearance, "descriptor": config.appearance and elements.descriptor_kind == config.kind}
+        used = {name: value for name, value in elements.attributes.items() if known[name]}
+        if used:
+            _check_length(used, config.length)
+            used["appearance"] = embedded(embedding or self.network.embedding, used)
+        return replace(elements, attributes=used)
 
     def first_nodes(self, lines: Lines, posterior: Posterior, work: Work = ALONE) -> Nodes:
         """Build the nodes of the first round from the modes of the posterior."""
@@ -259,12 +290,30 @@ class Learned(Attack):
         """Uncalibrated confidence within 1 spacing, passed to the next round."""
         return torch.sigmoid(found[:, self.network.config.one])
 
-    def confidence(self, result: Round) -> Float[Tensor, " own"]:
+    def confidence(self, result: Round, known: str) -> Float[Tensor, " own"]:
         """Calibrated probability that each point of the last round lies within 1 spacing of the map."""
-        calibration = result.found.new_tensor(self.calibration[self.config.rounds - 1])
+        calibration = result.found.new_tensor(self.calibration[known][self.config.rounds - 1])
         logit = (calibration[:, 0] * result.found + calibration[:, 1]).cummax(dim=1).values
         log_radius = math.log(spacing_ratio(self.fraction, self.config.dimension))
         return torch.sigmoid(_between(logit, self.network.config.radii, log_radius))
+
+
+def knowledge(elements: Elements) -> str:
+    """Name what an attack knows of the lines: ``lines`` alone, ``rgb``, ``descriptor`` or ``rgb+descriptor``."""
+    return "+".join(name for name in ATTRIBUTES if name in elements.attributes) or LINES_ALONE
+
+
+def knowledges(config: NetworkConfig) -> tuple[str, ...]:
+    """List all that a network can know."""
+    return (LINES_ALONE, *ATTRIBUTES, "+".join(ATTRIBUTES)) if config.appearance else (LINES_ALONE,)
+
+
+def _check_length(attributes: Mapping[str, Tensor], length: int) -> None:
+    if "descriptor" in attributes and attributes["descriptor"].shape[1] != length:
+        raise InputError(
+            f"got descriptors of length {attributes['descriptor'].shape[1]}; expected {length}, as in the checkpoint, "
+            "or leave them out (--ignore descriptor)"
+        )
 
 
 def judging_bytes(network: LineTransformer, k: int) -> float:

@@ -25,10 +25,15 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from l2p.attacks.learned.edges import Edges, feature_names, vote_names
+from l2p.attacks.learned.embedding import Embedding
 from l2p.attacks.learned.inputs import GEOMETRY, inputs_of
+from l2p.maps.appearance import SIFT
 
-#: Inputs per foot and head: density of all candidates, of confident ones, number of candidates, and mean shift.
-_AROUND = 4
+#: Inputs per foot and head: density of all candidates, of confident ones, number of candidates, and mean shift; then,
+#: by likeness: density, mean likeness, and mean shift.
+_AROUND, _AROUND_LIKE = 4, 3
+#: Bound of the likeness in an exponential.
+_MOST_LIKE = 10.0
 #: Logit of padding.
 NOTHING = -30.0
 #: Logit of padding among votes; low enough to vanish in a softmax over padding only.
@@ -60,6 +65,10 @@ class NetworkConfig:
         Largest distance of the mean of the feet from a foot, in local scales.
     log_range, log_factor : float
         Bound of the logarithm of a density over the densest, and its factor, so that inputs are about 1.
+    kind : str
+        Kind of the descriptors that the embedding was trained for; used with the input ``likeness``, as are the others.
+    length, hidden, embedding : int
+        Length of a descriptor, width of the embedding's hidden layers, and length of its vectors.
     """
 
     width: int = 64
@@ -74,6 +83,10 @@ class NetworkConfig:
     farthest_mean: float = 3.0
     log_range: float = 15.0
     log_factor: float = 0.3
+    kind: str = SIFT
+    length: int = 128
+    hidden: int = 256
+    embedding: int = 48
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.heads < 1 or self.width % self.heads:
@@ -83,12 +96,26 @@ class NetworkConfig:
                 f"got {self.layers} layers and heads of {self.finest} to {self.widest} local scales; expected at least "
                 "0 layers, and widths that rise from above 0"
             )
+        if min(self.length, self.hidden, self.embedding) < 1:
+            raise ValueError(
+                f"got length {self.length}, hidden {self.hidden}, embedding {self.embedding}; expected at least 1"
+            )
         if self.state < 1 or self.pooled < 1:
             raise ValueError(f"got state {self.state} and pooled {self.pooled}; expected at least 1 of each")
         rising = all(0 < low < high for low, high in zip(self.radii, self.radii[1:], strict=False))
         if len(self.radii) < 2 or 1.0 not in self.radii or not rising:
             raise ValueError(f"got radii {self.radii}; expected at least two that rise from above 0, 1 among them")
         inputs_of(self.inputs)
+
+    @property
+    def appearance(self) -> bool:
+        """Whether the network uses published colours and descriptors."""
+        return "likeness" in self.inputs
+
+    @property
+    def around(self) -> int:
+        """Inputs per foot and head that describe its surroundings."""
+        return _AROUND + self.appearance * _AROUND_LIKE
 
     @property
     def one(self) -> int:
@@ -178,8 +205,12 @@ class LineTransformer(nn.Module):
         inputs = inputs_of(self.config.inputs)
         features, votes = len(feature_names(inputs)), len(vote_names(inputs))
         self.embed = nn.Sequential(
-            nn.Linear(features + state + _AROUND * heads, width), nn.GELU(), nn.Linear(width, width)
+            nn.Linear(features + state + self.config.around * heads, width), nn.GELU(), nn.Linear(width, width)
         )
+        if self.config.appearance:
+            self.embedding = Embedding(self.config.length, self.config.hidden, self.config.embedding)
+            # Exponent of the likeness in the weights of candidates.
+            self.power = nn.Parameter(torch.tensor(1.0))
         # Logarithm of the spread of each kind of vote, in local scales.
         self.log_spread = nn.Parameter(torch.full((votes,), -1.5))
         self.layers = nn.ModuleList(PositionAttention(width, self.config.pooled) for _ in range(self.config.layers))
@@ -220,19 +251,46 @@ class LineTransformer(nn.Module):
         weight = -3 * width.log().masked_fill(~valid, torch.inf)
         weight = (weight - weight.amax(dim=1, keepdim=True)).exp().masked_fill(~valid, 0)
         confident = weight * edges.confidence
-        weights = torch.stack([weight, confident, count, confident * foot], dim=1)
+        weights = [weight, confident, count, confident * foot]
+        if self.config.appearance:
+            like = self._like(edges)
+            weights += [confident * like, confident * like * foot]
         factor = scale2.square()
-        total = weights[:, None] @ kernel * factor  # lines heads 4 feet
+        total = torch.stack(weights, dim=1)[:, None] @ kernel * factor  # lines heads weights feet
         level = total[:, :, :3].clamp_min(1e-12).log()
-        level[:, :, :2] -= level[:, :, :2].masked_fill(~valid[:, None, None], -torch.inf).amax(dim=3, keepdim=True)
-        level = level.clamp(-self.config.log_range, self.config.log_range) * self.config.log_factor
-        _, sure, number, moment = total.unbind(dim=2)
-        shift = torch.where(sure > 1e-12, moment / sure.clamp_min(1e-12) - foot[:, None], 0.0) / width[:, None]
+        level[:, :, :2] -= self._densest(level[:, :, :2], valid)
+        _, sure, number, moment = total[:, :, :4].unbind(dim=2)
+        around = [self._bounded(level), self._shift(sure, moment, edges)]
+        if self.config.appearance:
+            alike, moment = total[:, :, 4:].unbind(dim=2)
+            level = alike[:, :, None].clamp_min(1e-12).log()
+            mean = level - sure[:, :, None].clamp_min(1e-12).log()
+            around += [self._bounded(level - self._densest(level, valid)), self._bounded(mean)]
+            around += [self._shift(alike, moment, edges)]
+        inputs = torch.cat(around, dim=2).flatten(1, 2)
+        inputs = inputs.nan_to_num_().masked_fill_(~valid[:, None], 0).transpose(1, 2)
+        return Attention(kernel, factor / (number[:, :, None] + 1e-2)), inputs
+
+    def _like(self, edges: Edges) -> Float[Tensor, "lines k"]:
+        """exp(power * likeness)."""
+        return (self.power * edges.likeness).clamp(-_MOST_LIKE, _MOST_LIKE).exp()
+
+    def _densest(
+        self, level: Float[Tensor, "lines heads levels feet"], valid: Bool[Tensor, "lines feet"]
+    ) -> Float[Tensor, "lines heads levels 1"]:
+        return level.masked_fill(~valid[:, None, None], -torch.inf).amax(dim=3, keepdim=True)
+
+    def _bounded(self, level: Float[Tensor, "lines heads levels feet"]) -> Float[Tensor, "lines heads levels feet"]:
+        return level.clamp(-self.config.log_range, self.config.log_range) * self.config.log_factor
+
+    def _shift(
+        self, mass: Float[Tensor, "lines heads feet"], moment: Float[Tensor, "lines heads feet"], edges: Edges
+    ) -> Float[Tensor, "lines heads 1 feet"]:
+        """Step of mean shift from each foot, in local scales, towards the positive side."""
+        foot, width = (value.masked_fill(~edges.valid, fill) for value, fill in ((edges.foot, 0), (edges.scale, 1)))
+        shift = torch.where(mass > 1e-12, moment / mass.clamp_min(1e-12) - foot[:, None], 0.0) / width[:, None]
         farthest = self.config.farthest_mean
-        shift = edges.side[:, None] * shift.clamp(-farthest, farthest)
-        around = torch.cat([level, shift[:, :, None]], dim=2).flatten(1, 2)
-        around = around.nan_to_num_().masked_fill_(~valid[:, None], 0).transpose(1, 2)
-        return Attention(kernel, factor / (number[:, :, None] + 1e-2)), around
+        return (edges.side[:, None] * shift.clamp(-farthest, farthest))[:, :, None]
 
 
 def _mean_and_most(value: Float[Tensor, "lines k n"], valid: Bool[Tensor, "lines k"]) -> Float[Tensor, "lines two_n"]:

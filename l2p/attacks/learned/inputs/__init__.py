@@ -20,8 +20,9 @@ INPUTS: dict[str, str] = {
     "confidence": "l2p.attacks.learned.inputs.confidence:Confidence",
     "surface": "l2p.attacks.learned.inputs.surface:NearSurface",
     "wide_surface": "l2p.attacks.learned.inputs.surface:WideSurface",
+    "likeness": "l2p.attacks.learned.inputs.likeness:Likeness",
 }
-#: Default families of a network.
+#: Families of a network that sees lines alone.
 GEOMETRY = ("position", "scale", "distance", "angle", "tomography", "confidence", "surface", "wide_surface")
 
 

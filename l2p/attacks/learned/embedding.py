@@ -1,0 +1,101 @@
+"""Likeness: how much more probable the appearance of two points is if they are neighbours.
+
+Let u_i be what is published beside line i, its descriptor and colour. The log likelihood ratio
+
+    s_ij = log p(u_i, u_j | neighbours) - log p(u_i) p(u_j)
+
+is estimated by f(u_i) . f(u_j), where f is a network trained by InfoNCE (van den Oord et al., 2018): of many points of
+one map, choose the neighbour of a point. That leaves a constant per point, which is removed by s_ij's own definition:
+the mean of exp(s_ij) over the points j of the map is 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from l2p.geometry.elements import picked
+from l2p.maps.appearance import ATTRIBUTES
+
+#: Factors that bring a unit descriptor and a centred colour to numbers of about 1.
+_DESCRIPTOR_GAIN, _COLOUR_GAIN = 10.0, 4.0
+#: Points of the map over which exp(s_ij) is averaged.
+_BACKGROUND = 2048
+#: Rows per block.
+_BLOCK = 4096
+
+
+class Embedding(nn.Module):
+    """f: from colour and descriptor to a vector; either may be absent.
+
+    Parameters
+    ----------
+    length : int
+        Length of a descriptor.
+    width : int
+        Width of the two hidden layers.
+    size : int
+        Length of the vector.
+    """
+
+    def __init__(self, length: int, width: int, size: int) -> None:
+        super().__init__()
+        self.length = length
+        self.layers = nn.Sequential(
+            nn.Linear(length + 3 + len(ATTRIBUTES), width),
+            nn.GELU(),
+            nn.Linear(width, width),
+            nn.GELU(),
+            nn.Linear(width, size),
+        )
+        self.log_scale = nn.Parameter(torch.tensor(2.0))
+
+    def forward(self, attributes: Mapping[str, Float[Tensor, "rows width"]]) -> Float[Tensor, "rows size"]:
+        """Embed rows of ``rgb`` and ``descriptor``, those that are given; all vectors have one length."""
+        some = next(iter(attributes.values()))
+        rgb, descriptor = (attributes.get(name) for name in ATTRIBUTES)
+        blank = some.new_zeros(len(some), 1)
+        columns = [
+            blank.expand(-1, 3) if rgb is None else (rgb - 0.5) * _COLOUR_GAIN,
+            blank.expand(-1, self.length) if descriptor is None else unit(descriptor) * _DESCRIPTOR_GAIN,
+            blank + (rgb is not None),
+            blank + (descriptor is not None),
+        ]
+        vector = nn.functional.normalize(self.layers(torch.cat(columns, dim=1)), dim=1)
+        return vector * (0.5 * self.log_scale).exp()
+
+
+class Appearances(NamedTuple):
+    """Vectors f(u) of all lines, and the logarithm of the mean of exp(f(u_i) . f(u_j)) over the lines j."""
+
+    vector: Float[Tensor, "lines size"]
+    background: Float[Tensor, " lines"]
+
+    def likeness(self, rows: Int[Tensor, " rows"], others: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k"]:
+        """s_ij of lines with some others."""
+        product = (picked(self.vector, others) @ self.vector.index_select(0, rows)[:, :, None])[..., 0]
+        return product - 0.5 * (self.background.index_select(0, rows)[:, None] + picked(self.background, others))
+
+
+def embedded(embedding: Embedding, attributes: Mapping[str, Float[Tensor, "lines width"]]) -> Appearances:
+    """Embed all lines by their attributes, at least one."""
+    count = len(next(iter(attributes.values())))
+    vector = torch.cat(
+        [
+            embedding({name: value[begin : begin + _BLOCK] for name, value in attributes.items()})
+            for begin in range(0, count, _BLOCK)
+        ]
+    )
+    # Lines are sorted by their coordinates, so every n-th is a fair sample.
+    some = vector[:: max(1, count // _BACKGROUND)]
+    background = [torch.logsumexp(part @ some.T, dim=1) for part in vector.split(_BLOCK)]
+    return Appearances(vector, torch.cat(background) - torch.tensor(float(len(some))).log())
+
+
+def unit(descriptor: Float[Tensor, "rows length"]) -> Float[Tensor, "rows length"]:
+    """Descriptors of length 1: the length of a mean over a track tells how long the track is, not where it is."""
+    return nn.functional.normalize(descriptor, dim=1)

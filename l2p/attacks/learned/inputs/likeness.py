@@ -1,0 +1,26 @@
+"""Likeness of the published appearance of a pair: the log likelihood ratio that the two are neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+
+from l2p.attacks.learned.candidates import Candidates
+from l2p.attacks.learned.inputs.family import Kind, Values
+from l2p.maps.appearance import ATTRIBUTES
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """Likeness, and what it was computed from (:mod:`l2p.attacks.learned.embedding`)."""
+
+    columns: ClassVar = {"likeness": Kind.NUMBER, **{f"of_{name}": Kind.NUMBER for name in ATTRIBUTES}}
+    votes: ClassVar = ()
+    needs: ClassVar = ("appearance",)
+
+    def of(self, pairs: Candidates) -> Values:
+        """Return the columns."""
+        likeness = pairs.likeness
+        return Values([likeness, *(torch.full_like(likeness, name in pairs.attributes) for name in ATTRIBUTES)])
