@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from l2p.attacks.attack import Elements, attributes_of
+from l2p.attacks.learned.embedding import Embedding
 from l2p.attacks.learned.learned import Learned, State
 from l2p.attacks.learned.nodes import Nodes
 from l2p.attacks.tomography.posterior import Posterior
@@ -19,6 +20,7 @@ from l2p.attacks.tomography.reconstruct import reconstruct
 from l2p.geometry.frame import Frame
 from l2p.geometry.points import nearest_neighbors
 from l2p.judging.accuracy import spacing
+from l2p.maps.appearance import UNKNOWN_KIND
 from l2p.maps.scene import Scene
 from l2p.programs.scenes import scene_at
 from l2p.schemes.hide import hide
@@ -34,7 +36,7 @@ class CloudSource:
     """One line cloud of a scene: ``scene`` is a file or ``sim:kind:points:seed``.
 
     ``known`` names the attributes that are published with the lines; ``observed`` replaces means over tracks by single
-    observations of the descriptors.
+    observations of the descriptors, ``unknown`` hides their kind.
     """
 
     scene: str
@@ -42,6 +44,7 @@ class CloudSource:
     seed: int
     known: tuple[str, ...] = ()
     observed: bool = False
+    unknown: bool = False
 
     @property
     def name(self) -> str:
@@ -60,6 +63,7 @@ class Cloud:
     elements: Elements
     posterior: Posterior
     first_nodes: Nodes
+    embedding: Embedding | None
     true_beta: Float[Tensor, " lines"]
     radius: Float[Tensor, " lines"]
     spacing: float
@@ -71,18 +75,18 @@ class Cloud:
 
     def state(self, nodes: Nodes | None = None) -> State:
         """Return the state of an attack with these nodes; default: those before the first round."""
-        return State(self.elements, self.posterior, self.first_nodes if nodes is None else nodes)
+        return State(self.elements, self.posterior, self.first_nodes if nodes is None else nodes, self.embedding)
 
     def sample(
-        self, attack: Learned, nodes: Nodes, candidates: Int[Tensor, "lines k"], rows: Int[Tensor, " rows"]
+        self, attack: Learned, state: State, candidates: Int[Tensor, "lines k"], rows: Int[Tensor, " rows"]
     ) -> Sample:
         """Compute features, votes and truth of some lines."""
         chosen, truth = candidates[rows], self.true_point
         distance = (truth[chosen.clamp_min(0).long()] - truth[rows][:, None]).norm(dim=2)
         return Sample(
-            edges=attack.edges(self.state(nodes), rows, chosen),
+            edges=attack.edges(state, rows, chosen),
             label=soft_labels(distance, self.radius[rows]),
-            true_beta=self.true_beta[rows] - nodes.beta[rows],
+            true_beta=self.true_beta[rows] - state.nodes.beta[rows],
             spacing=torch.full((len(rows),), self.spacing),
         )
 
@@ -102,7 +106,7 @@ def lifted(
         source.fraction,
         rgb="rgb" in source.known,
         descriptor=descriptor,
-        descriptor_kind=None if descriptor is None else scene.descriptor_kind,
+        descriptor_kind=None if descriptor is None else UNKNOWN_KIND if source.unknown else scene.descriptor_kind,
     )
     lines, truth = hidden.map, hidden.truth.xyz
     frame = Frame.of(lines)
@@ -112,9 +116,10 @@ def lifted(
     posterior = reconstruct(inside, attack.config.tomography)
     published = attributes_of(lines.appearance, torch.device(device))
     elements = Elements(inside, torch.arange(len(lines), device=device), frame, published, lines.descriptor_kind)
-    blind = None if embeddings is None else embeddings.blind_to(source.scene)
+    elements, embedding = attack.seen(elements, None if embeddings is None else embeddings.blind_to(source.scene))
     return Cloud(
-        elements=attack.seen(elements, blind),
+        elements=elements,
+        embedding=embedding,
         posterior=posterior,
         first_nodes=attack.first_nodes(inside, posterior),
         true_beta=((point - inside.foot) * inside.direction).sum(dim=1),

@@ -34,7 +34,7 @@ def converted(path: Path) -> Checkpoint:
         raise InputError(f"{path} has format {metadata.get('l2p_format', 'unknown')}; expected 4")
     try:
         size = configured(NetworkConfig, {**asdict(NetworkConfig()), **json.loads(metadata["network"])})
-        config = configured(LearnedConfig, json.loads(metadata["learned"]))
+        config = configured(LearnedConfig, {**asdict(LearnedConfig()), **json.loads(metadata["learned"])})
         calibration = [[(float(a), float(b)) for a, b in part] for part in json.loads(metadata["calibration"])]
         inputs = inputs_of(size.inputs, dict(json.loads(metadata["inputs"])))
         facts = dict(json.loads(metadata["facts"]))

@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from l2p.attacks.learned.learned import Learned
+from l2p.attacks.learned.embedding import OTHER
+from l2p.attacks.learned.learned import LINES_ALONE, Learned
 from l2p.judging.calibration import calibration_error
 from train.clouds import Cloud, CloudSource
 
@@ -70,6 +71,12 @@ def _platt(
     return float(np.exp(log_slope)), float(offset)
 
 
+def known_as(source: CloudSource) -> str:
+    """Knowledge of an attack on this cloud (:func:`l2p.attacks.learned.learned.knowledge`)."""
+    names = [OTHER if source.unknown and name == "descriptor" else name for name in source.known]
+    return "+".join(names) or LINES_ALONE
+
+
 def figures(
     source: CloudSource, judged: Sequence[Judged], calibration: Sequence[tuple[float, float]], one: int
 ) -> dict[str, Any]:
@@ -84,7 +91,7 @@ def figures(
     return {
         "scene": source.name,
         "fraction": source.fraction,
-        "known": list(source.known),
+        "known": known_as(source),
         "lines": len(error),
         "median": [round(float(part.error.median()), 4) for part in judged],
         "within": [round(float((part.error <= 1).float().mean()), 4) for part in judged],

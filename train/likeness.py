@@ -22,6 +22,7 @@ from torch.nn import functional
 from l2p.attacks.attack import attributes_of
 from l2p.attacks.learned.embedding import Embedding
 from l2p.attacks.learned.network import NetworkConfig
+from l2p.attacks.learned.teaching import contrast
 from l2p.geometry.points import nearest_neighbors
 from l2p.io.atomic import atomic_file
 from l2p.maps.appearance import ATTRIBUTES
@@ -136,7 +137,7 @@ def fitted(
     progress: Progress = NO_PROGRESS,
 ) -> Embeddings:
     """Train the embeddings on scenes by name."""
-    described = {name: Described.of(scene, config) for name, scene in scenes.items()}
+    described = {name: Described.of(scene, config) for name, scene in sorted(scenes.items())}
     known = {name: one for name, one in described.items() if one is not None}
     tasks: list[list[Described]] = [list(known.values())]
     for fold in range(settings.folds):
@@ -163,7 +164,7 @@ def _trained(
     weight = np.array([len(one.near) ** 0.5 * (_DESCRIBED if "descriptor" in one.attributes else 1) for one in maps])
     for _ in range(settings.steps if len(maps) else 0):
         one = maps[rng.choice(len(maps), p=weight / weight.sum())]
-        loss = contrast(embedding, one, settings.batch, rng, draw)
+        loss = lesson(embedding, one, settings.batch, rng, draw)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -172,7 +173,7 @@ def _trained(
     return embedding.requires_grad_(False).eval()
 
 
-def contrast(
+def lesson(
     embedding: Embedding, one: Described, batch: int, rng: np.random.Generator, draw: torch.Generator
 ) -> Float[Tensor, ""]:
     """InfoNCE of points and one neighbour each, with some of the map's attributes."""
@@ -182,9 +183,7 @@ def contrast(
     names = chosen(tuple(one.attributes), rng)
     single = rng.random() < _OBSERVED
     here, there = (embedding(_noisy(one, rows, names, single, draw)) for rows in (first, second))
-    likeness = here @ there.T
-    answer = torch.arange(len(first))
-    return 0.5 * (functional.cross_entropy(likeness, answer) + functional.cross_entropy(likeness.T, answer))
+    return contrast(here, there)
 
 
 def chosen(names: Sequence[str], rng: np.random.Generator) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from l2p.attacks.learned.edges import Edges
-from l2p.attacks.learned.learned import Learned
+from l2p.attacks.learned.learned import Learned, State
 from l2p.attacks.learned.network import Judgement
 from l2p.attacks.learned.nodes import Estimates, Nodes, nodes_of
 from train.clouds import Cloud, CloudSource, lifted
@@ -37,13 +37,18 @@ class Entry:
     cloud: Cloud
     number: int
     round: int
-    nodes: Nodes
+    state: State
     candidates: Int[Tensor, "lines k"]
     order: Int[Tensor, " lines"]
     turn: int
     beta: Float[Tensor, " lines"]
     found: Float[Tensor, "lines radii"]
-    state: Float[Tensor, "lines state"]
+    passed: Float[Tensor, "lines state"]
+
+    @property
+    def nodes(self) -> Nodes:
+        """Nodes before the round."""
+        return self.state.nodes
 
 
 class Pool:
@@ -80,7 +85,7 @@ class Pool:
         """Draw the next lines of every cloud as one batch; return it with their rows in each cloud."""
         rows = [entry.order[entry.turn : entry.turn + lines] for entry in self.entries]
         samples = [
-            entry.cloud.sample(self.attack, entry.nodes, entry.candidates, rows)
+            entry.cloud.sample(self.attack, entry.state, entry.candidates, rows)
             for entry, rows in zip(self.entries, rows, strict=True)
         ]
         return _joined(samples), rows
@@ -94,7 +99,7 @@ class Pool:
         ):
             entry = self.entries[place]
             entry.beta[part] = entry.nodes.beta[part] + beta
-            entry.found[part], entry.state[part] = found, state
+            entry.found[part], entry.passed[part] = found, state
             entry.turn += len(part)
             if entry.turn == len(entry.order):
                 self.entries[place] = self._after(entry)
@@ -109,26 +114,27 @@ class Pool:
                     "round": entry.round,
                     "turn": entry.turn,
                     "before": [entry.nodes.beta, entry.nodes.confidence, entry.nodes.state],
-                    "found": [entry.beta, entry.found, entry.state],
+                    "found": [entry.beta, entry.found, entry.passed],
                 }
                 for entry in self.entries
             ],
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from a ``state_dict``."""
-        self.drawn = state["drawn"]
+        self.drawn = saved["drawn"]
         self.entries = []
-        for part in state["entries"]:
+        for part in saved["entries"]:
             source = self.sources[part["number"]]
             cloud = lifted(source, self.attack, self.embeddings)
-            nodes = cloud.first_nodes
+            state = cloud.state()
             if part["round"]:
                 before = Estimates(*part["before"])
                 nodes = nodes_of(cloud.elements.lines, before, self.attack.config.nodes)
-            entry = self._entry(source, cloud, part["number"], part["round"], nodes)
+                state = self.attack.schooled(state._replace(nodes=nodes))
+            entry = self._entry(source, cloud, part["number"], part["round"], state)
             entry.turn = part["turn"]
-            entry.beta, entry.found, entry.state = (value.clone() for value in part["found"])
+            entry.beta, entry.found, entry.passed = (value.clone() for value in part["found"])
             self.entries.append(entry)
 
     def _fresh(self) -> Entry:
@@ -136,29 +142,30 @@ class Pool:
         self.drawn += 1
         source = self.sources[number]
         cloud = lifted(source, self.attack, self.embeddings)
-        return self._entry(source, cloud, number, 0, cloud.first_nodes)
+        return self._entry(source, cloud, number, 0, cloud.state())
 
     def _after(self, entry: Entry) -> Entry:
         if entry.round + 1 >= self.attack.config.rounds:
             return self._fresh()
-        estimates = Estimates(entry.beta, self.attack.passed_confidence(entry.found), entry.state)
-        nodes = self.attack.next_nodes(entry.cloud.state(entry.nodes), estimates)
-        return self._entry(entry.source, entry.cloud, entry.number, entry.round + 1, nodes)
+        estimates = Estimates(entry.beta, self.attack.passed_confidence(entry.found), entry.passed)
+        state = self.attack.moved(entry.state, estimates)
+        return self._entry(entry.source, entry.cloud, entry.number, entry.round + 1, state)
 
-    def _entry(self, source: CloudSource, cloud: Cloud, number: int, round: int, nodes: Nodes) -> Entry:
+    def _entry(self, source: CloudSource, cloud: Cloud, number: int, round: int, state: State) -> Entry:
+        nodes = state.nodes
         order = np.random.default_rng([self.seed, 3, number, round]).permutation(len(nodes.beta))
         return Entry(
             source=source,
             cloud=cloud,
             number=number,
             round=round,
-            nodes=nodes,
-            candidates=self.attack.candidates(cloud.elements.lines, nodes),
+            state=state,
+            candidates=self.attack.candidates(state),
             order=torch.as_tensor(order),
             turn=0,
             beta=nodes.beta.clone(),
             found=nodes.beta.new_zeros(len(nodes.beta), len(self.attack.network.config.radii)),
-            state=torch.zeros_like(nodes.state),
+            passed=torch.zeros_like(nodes.state),
         )
 
 

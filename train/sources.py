@@ -23,6 +23,8 @@ FIRST_SIMULATED = 10_000
 _FULL = 0.2
 #: Share of the clouds with single observations of descriptors.
 _OBSERVED = 0.5
+#: Share of the clouds with descriptors whose kind is hidden, so that the attack must teach itself.
+_UNKNOWN = 0.25
 
 
 class TrainingScene(NamedTuple):
@@ -41,7 +43,8 @@ class Sources:
     Every scene comes once per turn, in another order each turn. A fifth of the liftings take all points of their scene,
     up to ``max_lines``. The others are thinned such that a random *line*, the unit of training, is in a cloud of
     log-uniform size: clouds of n lines have a frequency in proportion to 1 / n^2. Each attribute of a scene is left out
-    with the chance ``absent``; half of the clouds with descriptors have single observations, not means over tracks.
+    with the chance ``absent``; half of the clouds with descriptors have single observations, not means over tracks;
+    a quarter hides the kind of its descriptors.
     """
 
     scenes: tuple[TrainingScene, ...]
@@ -74,7 +77,8 @@ class Sources:
             lines = _thinned(min(self.data.min_lines, most), most, rng)
         seed = int(rng.integers(1 << 31))
         known = tuple(name for name in names if rng.random() >= self.data.absent)
-        return CloudSource(scene, round(lines / points, 6), seed, known, bool(rng.random() < _OBSERVED))
+        observed, unknown = bool(rng.random() < _OBSERVED), bool(rng.random() < _UNKNOWN)
+        return CloudSource(scene, round(lines / points, 6), seed, known, observed, unknown)
 
 
 def validation_sources(data: DataSettings) -> list[CloudSource]:
@@ -86,9 +90,10 @@ def validation_sources(data: DataSettings) -> list[CloudSource]:
         for fraction in data.val_fractions:
             share = round(min(fraction, data.max_lines / one.points), 6)
             for known in _subsets(one.names):
-                source = CloudSource(scene, share, 0, known)
-                if source not in sources:
-                    sources.append(source)
+                for unknown in (False, True) if "descriptor" in known else (False,):
+                    source = CloudSource(scene, share, 0, known, unknown=unknown)
+                    if source not in sources:
+                        sources.append(source)
     return sources
 
 

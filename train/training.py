@@ -32,7 +32,7 @@ from l2p.programs.commits import commit
 from l2p.work.progress import terminal_progress
 from train import likeness
 from train.clouds import CloudSource, lifted, read
-from train.judging import Judged, calibrate, figures, rounds_of
+from train.judging import Judged, calibrate, figures, known_as, rounds_of
 from train.lightning_parts import AtomicCheckpoints, FigureTable
 from train.likeness import Embeddings
 from train.module import NetworkModule
@@ -167,7 +167,7 @@ def _export(
         for source in held_back:
             judged.append(rounds_of(lifted(source, attack, embeddings), attack))
             advance(1)
-    names = ["+".join(source.known) or LINES_ALONE for source in held_back]
+    names = [known_as(source) for source in held_back]
     calibration = {}
     for known in knowledges(network.config):
         # A run without such maps has nothing to calibrate it on; that of lines alone is closest.

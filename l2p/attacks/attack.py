@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from l2p.geometry.elements import Lines
@@ -52,7 +52,7 @@ class Elements:
     lines: Lines
     row: Int[Tensor, " lines"]
     frame: Frame
-    attributes: Mapping[str, Shaped[Tensor, "lines ..."]] = field(default_factory=dict)
+    attributes: Mapping[str, Any] = field(default_factory=dict)
     descriptor_kind: str | None = None
 
     @classmethod
@@ -74,7 +74,7 @@ def attributes_of(appearance: Appearance, device: torch.device) -> dict[str, Flo
     if appearance.rgb is not None:
         attributes["rgb"] = torch.as_tensor(appearance.rgb / np.float32(255), device=device)
     if appearance.descriptor is not None:
-        attributes["descriptor"] = torch.as_tensor(appearance.descriptor.astype(np.float32), device=device)
+        attributes["descriptor"] = torch.as_tensor(appearance.numbers(), device=device)
     return attributes
 
 

@@ -14,6 +14,10 @@ from l2p.errors import InputError
 ATTRIBUTES = ("rgb", "descriptor")
 #: Kind of a descriptor whose source does not say it.
 UNKNOWN_KIND = "unknown"
+#: Kinds whose bytes are bits, compared by the Hamming distance.
+BINARY_KINDS = frozenset(("akaze", "brief", "brisk", "freak", "latch", "orb"))
+#: Least share of bytes with their highest bit set in bits without a name: it is 1/2 for bits, and about 0 for SIFT.
+_HIGH_BITS = 0.25
 #: Kinds that l2p names itself; any other name is allowed.
 SIFT = "sift"
 
@@ -64,6 +68,16 @@ class Appearance:
     def names(self) -> tuple[str, ...]:
         """Names of the attributes that are present, in the order of ``ATTRIBUTES``."""
         return tuple(name for name in ATTRIBUTES if getattr(self, name) is not None)
+
+    def numbers(self) -> Float[np.ndarray, "rows width"] | None:
+        """Descriptors as float32 whose differences mean something: those that are strings of bits as their bits."""
+        if self.descriptor is None:
+            return None
+        binary = self.descriptor.dtype == np.uint8 and (
+            self.descriptor_kind in BINARY_KINDS
+            or (self.descriptor_kind == UNKNOWN_KIND and (self.descriptor >= 128).mean() > _HIGH_BITS)
+        )
+        return (np.unpackbits(self.descriptor, axis=1) if binary else self.descriptor).astype(np.float32)
 
     def check_rows(self, rows: int, of: str) -> None:
         """Refuse attributes that are not of ``rows`` points or lines; ``of`` names them."""

@@ -11,6 +11,7 @@ the mean of exp(s_ij) over the points j of the map is 1.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -21,6 +22,10 @@ from torch import Tensor, nn
 from l2p.geometry.elements import picked
 from l2p.maps.appearance import ATTRIBUTES
 
+#: Descriptors of a kind that the checkpoint does not know, and an embedding that the map itself has taught.
+OTHER, TAUGHT = "other", "taught"
+#: What a likeness can be computed from.
+SOURCES = (*ATTRIBUTES, OTHER, TAUGHT)
 #: Factors that bring a unit descriptor and a centred colour to numbers of about 1.
 _DESCRIPTOR_GAIN, _COLOUR_GAIN = 10.0, 4.0
 #: Points of the map over which exp(s_ij) is averaged.
@@ -70,10 +75,14 @@ class Embedding(nn.Module):
 
 
 class Appearances(NamedTuple):
-    """Vectors f(u) of all lines, and the logarithm of the mean of exp(f(u_i) . f(u_j)) over the lines j."""
+    """Vectors f(u) of all lines, and the logarithm of the mean of exp(f(u_i) . f(u_j)) over the lines j.
+
+    ``of`` says what they were computed from, some of ``SOURCES``.
+    """
 
     vector: Float[Tensor, "lines size"]
     background: Float[Tensor, " lines"]
+    of: tuple[str, ...] = ()
 
     def likeness(self, rows: Int[Tensor, " rows"], others: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k"]:
         """s_ij of lines with some others."""
@@ -81,7 +90,9 @@ class Appearances(NamedTuple):
         return product - 0.5 * (self.background.index_select(0, rows)[:, None] + picked(self.background, others))
 
 
-def embedded(embedding: Embedding, attributes: Mapping[str, Float[Tensor, "lines width"]]) -> Appearances:
+def embedded(
+    embedding: Embedding, attributes: Mapping[str, Float[Tensor, "lines width"]], of: tuple[str, ...]
+) -> Appearances:
     """Embed all lines by their attributes, at least one."""
     count = len(next(iter(attributes.values())))
     vector = torch.cat(
@@ -93,9 +104,16 @@ def embedded(embedding: Embedding, attributes: Mapping[str, Float[Tensor, "lines
     # Lines are sorted by their coordinates, so every n-th is a fair sample.
     some = vector[:: max(1, count // _BACKGROUND)]
     background = [torch.logsumexp(part @ some.T, dim=1) for part in vector.split(_BLOCK)]
-    return Appearances(vector, torch.cat(background) - torch.tensor(float(len(some))).log())
+    return Appearances(vector, torch.cat(background) - math.log(len(some)), of)
 
 
 def unit(descriptor: Float[Tensor, "rows length"]) -> Float[Tensor, "rows length"]:
     """Descriptors of length 1: the length of a mean over a track tells how long the track is, not where it is."""
     return nn.functional.normalize(descriptor, dim=1)
+
+
+def new_embedding(length: int, width: int, size: int) -> Embedding:
+    """An embedding of descriptors of this length that knows nothing yet; always the same."""
+    with torch.random.fork_rng(devices=[]), torch.inference_mode(False):
+        torch.manual_seed(0)
+        return Embedding(length, width, size).requires_grad_(False)

@@ -19,11 +19,12 @@ from torch import Tensor
 from l2p.attacks.attack import Attack, Elements, Estimate
 from l2p.attacks.learned.candidates import Candidates
 from l2p.attacks.learned.edges import Edges, edges_of
-from l2p.attacks.learned.embedding import Embedding, embedded
+from l2p.attacks.learned.embedding import OTHER, TAUGHT, Embedding, embedded, new_embedding
 from l2p.attacks.learned.inputs import inputs_of
 from l2p.attacks.learned.inputs.family import Inputs
 from l2p.attacks.learned.network import NOTHING, Judgement, LineTransformer, NetworkConfig
 from l2p.attacks.learned.nodes import Estimates, Nodes, NodesConfig, described, neighborhood, nodes_of
+from l2p.attacks.learned.teaching import TeachingConfig, taught
 from l2p.attacks.peak import PeakConfig, find_peak, settled
 from l2p.attacks.tomography.posterior import Posterior, mass_within, modes
 from l2p.attacks.tomography.reconstruct import LINE_BYTES as TOMOGRAPHY_BYTES
@@ -48,6 +49,9 @@ class LearnedConfig:
     candidates : int
         Candidates per line: the estimates nearest to it, in units of the square root of their local scale, so that
         neither dense nor sparse places along the line provide all candidates.
+    alike, liking : int, float
+        Candidates per line if there is likeness: of the ``alike`` nearest estimates, those with the least distance
+        times exp(-liking * likeness).
     peak : PeakConfig
         Search of the peak; votes are not trimmed, since their weights suppress outliers.
     relaxation : float
@@ -66,10 +70,14 @@ class LearnedConfig:
         Settings of the coarse stage, which also gives the tomographic inputs.
     nodes : NodesConfig
         Local scales and surfaces.
+    teaching : TeachingConfig
+        Lessons about the appearances of the map, between the rounds.
     """
 
     rounds: int = 3
     candidates: int = 32
+    alike: int = 64
+    liking: float = 0.2
     peak: PeakConfig = PeakConfig(threshold=0.5, trim=0)
     relaxation: float = 1.4
     settling: int = 6
@@ -77,6 +85,7 @@ class LearnedConfig:
     dimension: float = 1.9
     tomography: TomographyConfig = TomographyConfig()
     nodes: NodesConfig = NodesConfig()
+    teaching: TeachingConfig = TeachingConfig()
 
     def __post_init__(self) -> None:
         for name, least in (("rounds", 0), ("candidates", 1), ("settling", 0)):
@@ -92,6 +101,8 @@ class LearnedConfig:
                 raise InputError(f"got {name} {getattr(self, name)} of the learned attack; expected more than 0")
 
 
+#: Lines per block of the choice of candidates.
+_CHOICE_BLOCK = 4096
 #: Knowledge of an attack that sees lines alone.
 LINES_ALONE = "lines"
 #: For each knowledge, round and radius, (a, b).
@@ -111,11 +122,15 @@ class Round(NamedTuple):
 
 
 class State(NamedTuple):
-    """The state before a round: all lines and their nodes, and the posterior of this process's lines."""
+    """The state before a round: all lines and their nodes, and the posterior of this process's lines.
+
+    ``embedding`` is that before any lesson; None without published attributes.
+    """
 
     elements: Elements
     posterior: Posterior
     nodes: Nodes
+    embedding: Embedding | None = None
 
 
 class Learned(Attack):
@@ -174,11 +189,12 @@ class Learned(Attack):
     def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> State:
         """Reconstruct the posterior; the first estimates are its modes."""
         self.network.eval().to(elements.row.device)
-        elements = self.seen(elements)
+        elements, embedding = self.seen(elements)
         posterior = reconstruct(elements.lines, self.config.tomography, work)
         if saved is None:
-            return State(elements, posterior, self.first_nodes(elements.lines, posterior, work))
-        return State(elements, posterior, nodes_of(elements.lines, Estimates(**saved), self.config.nodes, work))
+            return State(elements, posterior, self.first_nodes(elements.lines, posterior, work), embedding)
+        nodes = nodes_of(elements.lines, Estimates(**saved), self.config.nodes, work)
+        return self.schooled(State(elements, posterior, nodes, embedding), work)
 
     def step(self, state: State, work: Work) -> State:
         """Judge all lines, and build the nodes of the new estimates."""
@@ -196,7 +212,7 @@ class Learned(Attack):
             last = self.judge(state, work)
             confidence = self.confidence(last, knowledge(state.elements))
             return Estimate(last.estimates.beta[own], confidence, last.candidates, last.affinity)
-        nodes, candidates = state.nodes, self.candidates(state.elements.lines, state.nodes, work)
+        nodes, candidates = state.nodes, self.candidates(state, work)
         affinity = equal_weights(state.elements.lines, candidates)
         return Estimate(nodes.beta[own], nodes.confidence[own], candidates, affinity)
 
@@ -212,22 +228,52 @@ class Learned(Attack):
     # Parts of a round
 
     def uses(self, appearance: Appearance) -> tuple[str, ...]:
-        """Return the attributes that the network knows: colours, and descriptors of its kind."""
-        config = self.network.config
-        if not config.appearance:
-            return ()
-        known = appearance.descriptor_kind == config.kind
-        return tuple(name for name in appearance.names if name != "descriptor" or known)
+        """Return all attributes, if the network has an input for them."""
+        return appearance.names if self.network.config.appearance else ()
 
-    def seen(self, elements: Elements, embedding: Embedding | None = None) -> Elements:
-        """Keep the attributes that the network knows, and add their embedding; default: by the network's own."""
+    def seen(self, elements: Elements, embedding: Embedding | None = None) -> tuple[Elements, Embedding | None]:
+        """Add the appearances of the lines before any lesson, and return the embedding to be taught.
+
+        ``embedding`` is the one that knows colours and the network's kind of descriptors; default: the network's own.
+        It embeds what it knows; of other descriptors, a new embedding learns in the first lesson.
+        """
         config = self.network.config
-        known = {"rgb": config.appearance, "descriptor": config.appearance and elements.descriptor_kind == config.kind}
-        used = {name: value for name, value in elements.attributes.items() if known[name]}
-        if used:
-            _check_length(used, config.length)
-            used["appearance"] = embedded(embedding or self.network.embedding, used)
-        return replace(elements, attributes=used)
+        published = elements.attributes if config.appearance else {}
+        if not published:
+            return replace(elements, attributes={}), None
+        embedding = embedding or self.network.embedding
+        known = {name: value for name, value in published.items() if name != "descriptor" or self._knows(elements)}
+        attributes: dict[str, Any] = dict(published)
+        if known:
+            _check_length(known, config.length)
+            attributes["appearance"] = embedded(embedding, known, tuple(known))
+        if len(known) < len(published):
+            length = published["descriptor"].shape[1]
+            embedding = new_embedding(length, config.hidden, config.embedding).to(elements.row.device)
+        return replace(elements, attributes=attributes), embedding
+
+    def schooled(self, state: State, work: Work = ALONE) -> State:
+        """Let the map teach the embedding, by the neighbours of its present estimates; rank 0 teaches."""
+        elements, nodes = state.elements, state.nodes
+        if state.embedding is None:
+            return state
+        published = {name: elements.attributes[name] for name in ATTRIBUTES if name in elements.attributes}
+        fresh = "descriptor" in published and not self._knows(elements)
+        config = self.config.teaching
+        if config.steps_of(len(nodes.beta), fresh) == 0:
+            return state
+        pupil = state.embedding
+        if work.shards.rank == 0:
+            pupil = taught(pupil, published, nodes.point, nodes.confidence, config, fresh, work)
+        names = tuple(OTHER if fresh and name == "descriptor" else name for name in published)
+        appearance = embedded(pupil, published, (*names, TAUGHT))
+        vector, background = (work.shards.first(part) for part in (appearance.vector, appearance.background))
+        attributes = {**elements.attributes, "appearance": appearance._replace(vector=vector, background=background)}
+        return state._replace(elements=replace(elements, attributes=attributes))
+
+    def _knows(self, elements: Elements) -> bool:
+        """Whether the network's embedding was trained for the descriptors of this map."""
+        return elements.descriptor_kind == self.network.config.kind
 
     def first_nodes(self, lines: Lines, posterior: Posterior, work: Work = ALONE) -> Nodes:
         """Build the nodes of the first round from the modes of the posterior."""
@@ -239,23 +285,37 @@ class Learned(Attack):
         state = beta.new_zeros(count, self.network.config.state)
         return described(lines, around, Estimates(beta, confidence, state), self.config.nodes, work)
 
-    def candidates(self, lines: Lines, nodes: Nodes, work: Work = ALONE) -> Int[Tensor, "own k"]:
+    def candidates(self, state: State, work: Work = ALONE) -> Int[Tensor, "own k"]:
         """Find the candidates of each line, -1 for none."""
-        scale = nodes.scale.sqrt()
-        return nearest_points_to_lines(lines, nodes.point, self.config.candidates, scale=scale, work=work).index
+        lines, nodes, count = state.elements.lines, state.nodes, self.config.candidates
+        appearance = state.elements.attributes.get("appearance")
+        k = count if appearance is None else max(count, self.config.alike)
+        near = nearest_points_to_lines(lines, nodes.point, k, scale=nodes.scale.sqrt(), work=work)
+        if appearance is None or near.index.shape[1] <= count:
+            return near.index
+        chosen = torch.empty_like(near.index[:, :count])
+        first = work.own(len(nodes.beta)).start
+        for begin in range(0, len(chosen), _CHOICE_BLOCK):
+            index, distance = near.index[begin : begin + _CHOICE_BLOCK], near.distance[begin : begin + _CHOICE_BLOCK]
+            rows = torch.arange(first + begin, first + begin + len(index), device=index.device)
+            likeness = appearance.likeness(rows, index.clamp_min(0).long())
+            far = (distance.log() - self.config.liking * likeness).masked_fill_(index < 0, torch.inf)
+            best = far.topk(count, dim=1, largest=False, sorted=False).indices.sort(dim=1).values
+            chosen[begin : begin + len(index)] = index.gather(1, best)
+        return chosen
 
     def edges(
         self, state: State, rows: Int[Tensor, " rows"], candidates: Int[Tensor, "rows k"], first: int = 0
     ) -> Edges:
         """Compute the network's inputs for candidates of some rows; the posterior begins with line ``first``."""
-        elements, posterior, nodes = state
+        elements, posterior, nodes, _ = state
         pairs = Candidates(elements.lines, nodes, posterior, rows, candidates, first, elements.attributes)
         return edges_of(pairs, self.inputs)
 
     def judge(self, state: State, work: Work = ALONE) -> Round:
         """Run one round on the lines of this process."""
         nodes = state.nodes
-        candidates = self.candidates(state.elements.lines, nodes, work)
+        candidates = self.candidates(state, work)
         own, count = work.own(len(nodes.beta)), len(candidates)
         beta, passed = nodes.beta[own].clone(), torch.zeros_like(nodes.state[own])
         affinity = torch.zeros_like(candidates, dtype=beta.dtype)
@@ -280,11 +340,13 @@ class Learned(Attack):
 
     def next(self, state: State, result: Round, work: Work = ALONE) -> State:
         """Return the state for the next round."""
-        return state._replace(nodes=self.next_nodes(state, result.estimates, work))
+        return self.moved(state, result.estimates, work)
 
-    def next_nodes(self, state: State, estimates: Estimates, work: Work = ALONE) -> Nodes:
-        """Build the nodes of the over-relaxed estimates."""
-        return nodes_of(state.elements.lines, relaxed(state.nodes, estimates, self.config), self.config.nodes, work)
+    def moved(self, state: State, estimates: Estimates, work: Work = ALONE) -> State:
+        """Build the nodes of the over-relaxed estimates, and let them teach."""
+        estimates = relaxed(state.nodes, estimates, self.config)
+        nodes = nodes_of(state.elements.lines, estimates, self.config.nodes, work)
+        return self.schooled(state._replace(nodes=nodes), work)
 
     def passed_confidence(self, found: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:
         """Uncalibrated confidence within 1 spacing, passed to the next round."""
@@ -299,13 +361,16 @@ class Learned(Attack):
 
 
 def knowledge(elements: Elements) -> str:
-    """Name what an attack knows of the lines: ``lines`` alone, ``rgb``, ``descriptor`` or ``rgb+descriptor``."""
-    return "+".join(name for name in ATTRIBUTES if name in elements.attributes) or LINES_ALONE
+    """Name what the likeness was computed from, such as ``rgb+descriptor``; ``lines`` if there is none."""
+    appearance = elements.attributes.get("appearance")
+    return LINES_ALONE if appearance is None else "+".join(name for name in appearance.of if name != TAUGHT)
 
 
 def knowledges(config: NetworkConfig) -> tuple[str, ...]:
     """List all that a network can know."""
-    return (LINES_ALONE, *ATTRIBUTES, "+".join(ATTRIBUTES)) if config.appearance else (LINES_ALONE,)
+    if not config.appearance:
+        return (LINES_ALONE,)
+    return (LINES_ALONE, "rgb", "descriptor", "rgb+descriptor", OTHER, f"rgb+{OTHER}")
 
 
 def _check_length(attributes: Mapping[str, Tensor], length: int) -> None:

@@ -8,19 +8,20 @@ from typing import ClassVar
 import torch
 
 from l2p.attacks.learned.candidates import Candidates
+from l2p.attacks.learned.embedding import SOURCES
 from l2p.attacks.learned.inputs.family import Kind, Values
-from l2p.maps.appearance import ATTRIBUTES
 
 
 @dataclass(frozen=True)
 class Likeness:
     """Likeness, and what it was computed from (:mod:`l2p.attacks.learned.embedding`)."""
 
-    columns: ClassVar = {"likeness": Kind.NUMBER, **{f"of_{name}": Kind.NUMBER for name in ATTRIBUTES}}
+    columns: ClassVar = {"likeness": Kind.NUMBER, **{f"of_{name}": Kind.NUMBER for name in SOURCES}}
     votes: ClassVar = ()
     needs: ClassVar = ("appearance",)
 
     def of(self, pairs: Candidates) -> Values:
         """Return the columns."""
         likeness = pairs.likeness
-        return Values([likeness, *(torch.full_like(likeness, name in pairs.attributes) for name in ATTRIBUTES)])
+        of = pairs.attributes["appearance"].of
+        return Values([likeness, *(torch.full_like(likeness, name in of) for name in SOURCES)])
