@@ -113,8 +113,13 @@ def write_hloc(path: Path, images: Images, shift: float = -0.5, dtype: str = "f4
     return path
 
 
-def described(model: Path, path: Path) -> l2p.Scene:
+def described(model: Path, path: Path) -> Any:
     return load_described(model, path)[0]
+
+
+def read(model: Path) -> Any:
+    """The scene of a model; of type Any, as its attributes are all there."""
+    return load_scene(model)
 
 
 # Means over tracks
@@ -125,7 +130,7 @@ def test_a_database_gives_the_mean_of_each_track(model, images, kind):
     scene = described(model, write_database(model / "any.name", images, kind))
     assert scene.descriptor is not None and scene.descriptor.dtype == np.uint8 and scene.descriptor_kind == "sift"
     np.testing.assert_array_equal(scene.descriptor, half_up(images.means(scene.ids.tolist())))
-    np.testing.assert_array_equal(scene.rgb, load_scene(model).rgb)
+    np.testing.assert_array_equal(scene.rgb, read(model).rgb)
 
 
 def test_a_database_that_colmap_wrote_is_read_and_not_touched(tmp_path):
@@ -144,10 +149,10 @@ with pycolmap.Database.open(sys.argv[1] + "/database.db") as database:
 """
     subprocess.run([sys.executable, "-c", program, str(tmp_path)], check=True)
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
-    scene, source = load_described(tmp_path)
+    scene, source = described(tmp_path, tmp_path / "database.db"), load_described(tmp_path)[1]
     assert source == tmp_path / "database.db" and scene.descriptor_kind == "sift"
-    with np.load(tmp_path / "read.npz") as read:
-        images = Images(read_model(tmp_path), descriptor={name: read[name] for name in read})
+    with np.load(tmp_path / "read.npz") as stored:
+        images = Images(read_model(tmp_path), descriptor={name: stored[name] for name in stored})
     np.testing.assert_array_equal(scene.descriptor, half_up(images.means(scene.ids.tolist())))
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
@@ -194,7 +199,7 @@ def test_a_point_twice_in_an_image_counts_both(model, images):
     import pycolmap
 
     reconstruction.add_observation(key, pycolmap.TrackElement(image.image_id, free))
-    scene = with_descriptors(load_scene(model), write_database(model / "d.db", images), reconstruction)
+    scene: Any = with_descriptors(read(model), write_database(model / "d.db", images), reconstruction)
     np.testing.assert_array_equal(scene.descriptor, half_up(images.means(scene.ids.tolist())))
 
 
@@ -225,7 +230,7 @@ def more_keypoints(images: Images, rng: np.random.Generator) -> Images:
 @pytest.mark.parametrize("shift", [0.0, -0.5])
 def test_dropped_keypoints_are_found_by_place(model, images, rng, shift):
     full = more_keypoints(images, rng)
-    expected = half_up(images.means(load_scene(model).ids.tolist()))
+    expected = half_up(images.means(read(model).ids.tolist()))
     np.testing.assert_array_equal(described(model, write_hloc(model / "a.h5", full, shift)).descriptor, expected)
     if shift == 0:
         np.testing.assert_array_equal(described(model, write_database(model / "d.db", full)).descriptor, expected)
@@ -240,7 +245,7 @@ def test_half_precision_of_hloc_is_found_by_place(model, images, rng):
         images.xy[image.name] = images.xy[image.name] - 0.5
     full = more_keypoints(images, rng)
     write_hloc(model / "a.h5", full, shift=0.0, dtype="f2")
-    scene = with_descriptors(load_scene(model), model / "a.h5", images.model)
+    scene: Any = with_descriptors(read(model), model / "a.h5", images.model)
     mean = half_up(images.means(scene.ids.tolist()))
     # Keypoints that half precision moves to one place do not count.
     assert (scene.descriptor == mean).all(axis=1).mean() > 0.5
@@ -300,7 +305,7 @@ def test_a_file_without_the_images_or_points_is_refused(model, images):
 
 def test_the_model_must_have_the_points(model, images):
     write_database(model / "d.db", images)
-    scene = load_scene(model)
+    scene = read(model)
     some = int(scene.ids[3])
     images.model.delete_point3D(some)
     with pytest.raises(InputError, match=f"the model lacks the point {some} of the scene"):
@@ -316,7 +321,7 @@ def test_damaged_databases(model, images, rng):
     file = write_database(model / "d.db", images)
 
     def refused(sentence: str, *changes: str) -> None:
-        copy = shutil.copy(file, model / "bad.db")
+        copy = Path(shutil.copy(file, model / "bad.db"))
         with sqlite3.connect(copy) as database:
             for change in changes:
                 database.execute(change)
@@ -355,9 +360,7 @@ def test_no_keypoints_table_row_is_no_obstacle(model, images):
     with sqlite3.connect(file) as database:
         database.execute("DELETE FROM keypoints")
     database.close()
-    np.testing.assert_array_equal(
-        described(model, file).descriptor, half_up(images.means(load_scene(model).ids.tolist()))
-    )
+    np.testing.assert_array_equal(described(model, file).descriptor, half_up(images.means(read(model).ids.tolist())))
 
 
 @pytest.mark.parametrize(
@@ -375,6 +378,7 @@ def test_no_keypoints_table_row_is_no_obstacle(model, images):
             "of type int64; expected uint8 or flo",
         ),
         (lambda group: _nan(group), "that are NaN, infinite or beyond 1e30; extract them again"),
+        (lambda group: _put(group, "keypoints", group["keypoints"][:] * np.nan), "that are NaN or no pixels; extract"),
         (lambda group: _huge(group), "is damaged in the features of"),
         (lambda group: _other_length(group), "has descriptors of several lengths or types; expected one kind"),
     ],
@@ -389,22 +393,22 @@ def test_damaged_features(model, change, message):
     assert "\n" not in str(error.value)
 
 
-def _put(group: h5py.Group, key: str, value: np.ndarray) -> None:
+def _put(group: Any, key: str, value: np.ndarray) -> None:
     del group[key]
     group[key] = value
 
 
-def _nan(group: h5py.Group) -> None:
+def _nan(group: Any) -> None:
     group["descriptors"][3] = np.nan
 
 
-def _huge(group: h5py.Group) -> None:
+def _huge(group: Any) -> None:
     """A dataset that claims a terabyte and holds nothing."""
     del group["descriptors"]
     group.create_dataset("descriptors", shape=(256, 1 << 32), dtype="f2", chunks=(256, 64))
 
 
-def _other_length(group: h5py.Group) -> None:
+def _other_length(group: Any) -> None:
     if group.name.endswith("/3.jpg"):
         _put(group, "descriptors", group["descriptors"][:100])
 
@@ -428,7 +432,7 @@ def test_without_h5py_a_sentence_says_how_to_get_it(model, images, monkeypatch):
 
 
 def test_what_is_no_file_of_descriptors(model, tmp_path):
-    scene = load_scene(model)
+    scene = read(model)
     with pytest.raises(FileNotFoundError, match=r"none.npz does not exist; expected a file of descriptors"):
         with_descriptors(scene, model / "none.npz")
     with pytest.raises(InputError, match="is no regular file; expected an npz with point3D_id and descriptor"):
@@ -445,14 +449,14 @@ def test_what_is_no_file_of_descriptors(model, tmp_path):
 # npz by point id
 
 
-def npz(path: Path, scene: l2p.Scene, **changes: np.ndarray) -> Path:
+def npz(path: Path, scene: Any, **changes: Any) -> Path:
     arrays: dict[str, Any] = {"point3D_id": scene.ids, "descriptor": np.ones((len(scene), 4), dtype=np.float32)}
     np.savez(path, **(arrays | changes))
     return path
 
 
 def test_an_npz_is_read_by_id(model, rng):
-    scene = load_scene(model)
+    scene = read(model)
     ids = rng.permutation(np.concatenate([scene.ids, [10**6, 10**7]])).astype(np.uint64)
     descriptor = rng.integers(0, 256, (len(ids), 128), dtype=np.uint8)
     np.savez(model / "d.npz", point3D_id=ids, descriptor=descriptor)
@@ -480,7 +484,7 @@ def test_an_npz_is_read_by_id(model, rng):
     ],
 )
 def test_a_wrong_npz_is_refused(model, changes, message):
-    scene = load_scene(model)
+    scene = read(model)
     with pytest.raises(InputError, match=message):
         described(model, npz(model / "d.npz", scene, **changes))
 
@@ -519,7 +523,7 @@ def test_the_search_takes_the_nearest_file_and_skips_what_has_no_local_features(
     ):
         write(path, images)
         assert load_described(model)[1] == file_beside(model) == path
-    npz(sparse / "descriptors.npz", load_scene(model))
+    npz(sparse / "descriptors.npz", read(model))
     assert file_beside(model) != sparse / "descriptors.npz", "ids are those of one model"
     shutil.copy(sparse / "descriptors.npz", model)
     assert file_beside(model) == model / "descriptors.npz"
@@ -536,7 +540,7 @@ def test_load_gives_descriptors_only_if_asked(model, images, tmp_path):
     write_database(model / "database.db", images)
     assert l2p.load(model).descriptor is None
     for source in (True, model / "database.db", str(model / "database.db")):
-        assert l2p.load(model, l2p.Scene, descriptors=source).descriptor.shape == (34, 128)
+        assert l2p.load(model, l2p.Scene, descriptors=source).appearance.names == ("rgb", "descriptor")
     np.savez(tmp_path / "scene.npz", xyz=np.eye(3), descriptor=np.ones((3, 8), dtype=np.uint8))
     assert l2p.load(tmp_path / "scene.npz", descriptors=True).descriptor.shape == (3, 8)
     with pytest.raises(InputError, match="got descriptors for a LineCloud; expected a Scene"):
