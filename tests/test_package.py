@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "l2p"
 
 #: Loaded when they are used, never before.
-HEAVY = {"torch", "scipy", "open3d", "pycolmap", "plyfile", "matplotlib", "lightning", "hydra"}
+HEAVY = {"torch", "scipy", "open3d", "pycolmap", "plyfile", "matplotlib", "lightning", "hydra", "h5py"}
 #: Of these, what no module may load when it is imported; numeric modules may load torch.
 LAZY = HEAVY - {"torch"}
 

@@ -17,6 +17,7 @@ from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of,
 from l2p.cli.recover import recover as recover
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file, check_folder
+from l2p.io.descriptors import load_described
 from l2p.io.kinds import LINE_CLOUDS, kind_of
 from l2p.io.line_files import line_ending, load_lines, save_lines
 from l2p.io.recovery_files import load_recovery
@@ -24,25 +25,31 @@ from l2p.io.scene_files import load_scene, load_truth, truth_bytes
 from l2p.judging.accuracy import matched, spacing
 from l2p.judging.scores import evaluate as score
 from l2p.schemes.hide import hide
-from l2p.show.tables import print_info, print_scores
+from l2p.show.tables import descriptor_text, print_info, print_scores
 from l2p.work.progress import terminal_progress
 
 
 def lift(arguments: Namespace) -> None:
     """Run ``l2p lift``."""
-    check_outputs([arguments.scene], [arguments.output, arguments.truth], arguments.force)
-    line_ending(arguments.output)
-    scene = load_scene(arguments.scene)
+    file = None if arguments.descriptors is True else arguments.descriptors
+    inputs = [arguments.scene] if file is None else [arguments.scene, file]
+    check_outputs(inputs, [arguments.output, arguments.truth], arguments.force)
+    described = arguments.descriptors is not None
+    asked = {"rgb": arguments.rgb, "descriptor": described}
+    line_ending(arguments.output, [name for name, wanted in asked.items() if wanted])
+    scene, source = load_described(arguments.scene, file) if described else (load_scene(arguments.scene), None)
     if arguments.rgb and scene.rgb is None:
         raise InputError(f"{arguments.scene} has no colours; leave out --rgb")
-    hidden = hide(scene, arguments.seed, arguments.fraction, arguments.scheme, rgb=arguments.rgb)
+    hidden = hide(scene, arguments.seed, arguments.fraction, arguments.scheme, arguments.rgb, described)
     with ExitStack() as stack:
         if arguments.truth is not None:
             # Renamed after the lines are written, so that a failure leaves neither file.
-            file = stack.enter_context(atomic_file(arguments.truth, overwrite=arguments.force))
-            file.write(truth_bytes(replace(hidden.truth, spacing=spacing(scene.xyz))))
+            truth = stack.enter_context(atomic_file(arguments.truth, overwrite=arguments.force))
+            truth.write(truth_bytes(replace(hidden.truth, spacing=spacing(scene.xyz))))
         save_lines(hidden.map, arguments.output, overwrite=arguments.force)
     print(f"{arguments.output}: {len(hidden.map)} lines of {len(scene)} points")
+    if source is not None:
+        print(f"descriptors of {_shown(str(source))}: {descriptor_text(hidden.map.appearance)}")
 
 
 def evaluate(arguments: Namespace) -> None:

@@ -110,6 +110,14 @@ def _add_lift(commands: Any) -> None:
         "it out for a line cloud that is published",
     )
     lift.add_argument("--rgb", action="store_true", help="store the colours of the points, which help an attacker")
+    lift.add_argument(
+        "--descriptors",
+        nargs="?",
+        const=True,
+        metavar="FILE",
+        help="store the descriptors of the points, which help an attacker more: those of FILE (COLMAP's database.db, "
+        "hloc's features, or npz), or, without FILE, those of an npz scene or found beside a COLMAP model",
+    )
     _add_force(lift)
 
 

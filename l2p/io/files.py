@@ -7,6 +7,7 @@ from os import PathLike
 from typing import Any, TypeVar, overload
 
 from l2p.errors import InputError
+from l2p.io.descriptors import load_described
 from l2p.io.kinds import LINE_CLOUDS, SCENES, Kind, kind_of
 from l2p.io.line_files import load_lines, save_lines
 from l2p.io.recovery_files import load_recovery, save_recovery
@@ -27,12 +28,19 @@ _LOADERS: dict[type[Any], Callable[..., Any]] = {
 
 
 @overload
-def load(path: str | PathLike[str]) -> Any: ...
+def load(path: str | PathLike[str], *, descriptors: str | PathLike[str] | bool = False) -> Any: ...
 @overload
-def load(path: str | PathLike[str], expected: type[Thing]) -> Thing: ...
+def load(
+    path: str | PathLike[str], expected: type[Thing], *, descriptors: str | PathLike[str] | bool = False
+) -> Thing: ...
 
 
-def load(path: str | PathLike[str], expected: type[Any] | None = None) -> Any:
+def load(
+    path: str | PathLike[str],
+    expected: type[Any] | None = None,
+    *,
+    descriptors: str | PathLike[str] | bool = False,
+) -> Any:
     """Read a scene, line cloud, recovery or truth; the content of the file decides which, not its name.
 
     Parameters
@@ -41,13 +49,16 @@ def load(path: str | PathLike[str], expected: type[Any] | None = None) -> Any:
         A COLMAP model folder, PLY, npz, OBJ or text file (``docs/formats.md``).
     expected : type, optional
         ``Scene``, ``LineCloud``, ``Recovery`` or ``Truth``; any other kind is refused.
+    descriptors : path or bool
+        For a scene: a file with the descriptors of its points (``docs/formats.md``); True searches beside a COLMAP
+        model, and requires them of an npz. By default an npz keeps its own, and a model has none.
 
     Raises
     ------
     FileNotFoundError
         If there is nothing at ``path``.
     InputError
-        If the file is damaged or of another kind.
+        If the file is damaged or of another kind, or a point has no descriptor where descriptors are wanted.
 
     Examples
     --------
@@ -58,6 +69,10 @@ def load(path: str | PathLike[str], expected: type[Any] | None = None) -> Any:
     ...     len(l2p.load(f"{folder}/lines.npz"))
     300
     """
+    if descriptors is not False:
+        if expected not in (None, Scene):
+            raise InputError(f"got descriptors for a {expected.__name__}; expected a Scene")
+        return load_described(path, None if descriptors is True else descriptors)[0]
     if expected is not None:
         return _LOADERS[expected](path)
     kind = kind_of(path)

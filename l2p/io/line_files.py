@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Collection
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,8 +23,15 @@ from l2p.maps.lines import LineCloud
 #: Version of written npz line clouds; older ones stay readable.
 LINE_VERSION = 1
 
+#: Published attributes that a file can hold beside the lines, by its ending; a row of a line set has no room for a
+#: descriptor that other programs would read.
+HELD: dict[str, tuple[str, ...]] = {".npz": ("rgb", "descriptor"), ".ply": ("rgb",), ".obj": ()}
+
 #: Scheme of line sets from other programs, which do not state how their directions were drawn.
 FOREIGN_SCHEME = "unknown"
+
+# Attributes as users name them.
+_NAMES = {"rgb": "colours", "descriptor": "descriptors"}
 
 #: Half the length of a drawn line, in units of the median distance of the lines from their centre.
 HALF_LENGTH = 3.0
@@ -61,6 +70,7 @@ def load_lines(path: str | PathLike[str]) -> LineCloud:
 def save_lines(cloud: LineCloud, path: str | PathLike[str], *, overwrite: bool = False) -> None:
     """Write a line cloud as npz, or as PLY or OBJ line set to look at, by the ending of ``path``.
 
+    A PLY holds no descriptors, an OBJ neither these nor colours: they are left out.
     The lines are written unchanged, in their order: only :func:`l2p.lift` hides which point is behind which line.
     """
     writers = {".npz": _npz_bytes, ".ply": _ply_bytes, ".obj": _obj_bytes}
@@ -69,11 +79,20 @@ def save_lines(cloud: LineCloud, path: str | PathLike[str], *, overwrite: bool =
         file.write(writers[ending](cloud))
 
 
-def line_ending(path: str | PathLike[str]) -> str:
-    """Return the ending of a line cloud to write; raise InputError if l2p does not write it."""
+def line_ending(path: str | PathLike[str], attributes: Collection[str] = ()) -> str:
+    """Return the ending of a line cloud to write.
+
+    Raises
+    ------
+    InputError
+        If l2p does not write such files, or they cannot hold one of the published ``attributes``.
+    """
     ending = Path(path).suffix.lower()
-    if ending not in (".npz", ".ply", ".obj"):
+    if ending not in HELD:
         raise InputError(f"{path} ends with {ending!r}; expected a line cloud to end with .npz, .ply or .obj")
+    for name in attributes:
+        if name not in HELD[ending]:
+            raise InputError(f"{path} cannot hold {_NAMES[name]}; write .npz, or leave them out")
     return ending
 
 
@@ -106,13 +125,18 @@ def _npz_bytes(cloud: LineCloud) -> bytes:
         {
             "direction": cloud.direction,
             "moment": cloud.moment,
-            "rgb": cloud.rgb,
-            "descriptor": cloud.descriptor,
+            "rgb": _plain(cloud.rgb),
+            "descriptor": _plain(cloud.descriptor),
             "descriptor_kind": None if cloud.descriptor_kind is None else np.array(cloud.descriptor_kind),
             "scheme": np.array(cloud.scheme),
             "version": np.array(LINE_VERSION),
         }
     )
+
+
+def _plain(array: np.ndarray | None) -> Any:
+    """The array in the memory order of C: the header of npy would tell another order, and so where it came from."""
+    return None if array is None else np.ascontiguousarray(array)
 
 
 def _read_ply(path: str | PathLike[str]) -> LineCloud:

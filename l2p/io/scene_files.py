@@ -34,9 +34,12 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     if kind in LINE_CLOUDS or kind is Kind.CHECKPOINT:
         raise InputError(f"{path} is {kind.value}; expected a scene: a COLMAP model folder, a PLY or an npz with xyz")
     if kind is Kind.SCENE_MODEL:
-        scene = scene_of_model(read_model(path))
-    else:
-        scene = _read_ply(path) if kind is Kind.SCENE_PLY else _read_npz(path)
+        return checked_scene(path, scene_of_model(read_model(path)))
+    return checked_scene(path, _read_ply(path) if kind is Kind.SCENE_PLY else _read_npz(path))
+
+
+def checked_scene(path: str | PathLike[str], scene: Scene) -> Scene:
+    """Return the scene of a file; InputError if it has no points, or points or cameras that are out of range."""
     if len(scene) == 0:
         raise InputError(f"{path} has no points; expected at least one")
     _refuse_out_of_range(path, "points", scene.xyz)

@@ -73,6 +73,8 @@ def hide(
       in double precision passes close to one lattice point only: its own. Each point is therefore moved within its
       lattice cell before it is lifted (:func:`l2p.schemes.rounding.lattice_step`); the shift is below the precision of
       the input.
+    - *Colours and descriptors* are in the order of the lines, those of points that are left out are not stored, and the
+      sign of a zero is dropped. Their values are stored as they are.
 
     Examples
     --------
@@ -130,13 +132,13 @@ def _published(
     """Colours and descriptors to store: those given, or those of the scene for True."""
     if descriptor is True:
         kind = scene.descriptor_kind if kind is None else kind
-    given = (
-        _own(value, getattr(scene, name), f"{name}=True", what)
-        for value, name, what in ((rgb, "rgb", "colours"), (descriptor, "descriptor", "descriptors"))
-    )
-    appearance = Appearance(*given, kind)
+    colours = _own(rgb, scene.rgb, "rgb=True", "colours")
+    appearance = Appearance(colours, _own(descriptor, scene.descriptor, "descriptor=True", "descriptors"), kind)
     appearance.check_rows(len(scene), "points")
-    return appearance
+    if appearance.descriptor is None or appearance.descriptor.dtype == np.uint8:
+        return appearance
+    # The sum with 0 has no negative zeros.
+    return replace(appearance, descriptor=appearance.descriptor + np.float32(0))
 
 
 def _own(value: np.ndarray | bool | None, of_scene: np.ndarray | None, flag: str, what: str) -> np.ndarray | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from os import PathLike
@@ -13,12 +14,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from l2p.errors import InputError, sentence
+from l2p.io.descriptors import file_beside
 from l2p.io.kinds import LINE_CLOUDS, SCENES, Kind, kind_of
 from l2p.io.line_files import load_lines
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
 from l2p.judging.measure import Form, figures
 from l2p.judging.scores import Scores
+from l2p.maps.appearance import Appearance
 
 if TYPE_CHECKING:
     from l2p.attacks.learned.checkpoint import Checkpoint
@@ -67,6 +71,12 @@ def print_info(path: str | PathLike[str]) -> None:
         console().print(each)
 
 
+def descriptor_text(appearance: Appearance) -> str:
+    """Describe descriptors: ``sift, 128 x uint8``, or ``no``."""
+    descriptor = appearance.descriptor
+    return "no" if descriptor is None else f"{appearance.descriptor_kind}, {descriptor.shape[1]} x {descriptor.dtype}"
+
+
 def console() -> Console:
     """Return stdout as a console that is wide enough for tables, even if it is no terminal."""
     return Console(file=sys.stdout, width=None if sys.stdout.isatty() else FILE_WIDTH)
@@ -82,7 +92,10 @@ def _describe(path: str | PathLike[str], kind: Kind) -> Sequence[tuple[str, str]
 
 def _describe_lines(path: str | PathLike[str]) -> list[tuple[str, str]]:
     cloud = load_lines(path)
-    return [("lines", str(len(cloud))), ("scheme", cloud.scheme), ("colours", _yes(cloud.rgb))]
+    known = _describe_appearance(cloud.appearance)
+    names = " and ".join(word for word, value in known if value != "no")
+    gives = f"the lines; an attacker also uses the {names}" if names else "the lines alone"
+    return [("lines", str(len(cloud))), ("scheme", cloud.scheme), *known, ("gives away", gives)]
 
 
 def _describe_scene(path: str | PathLike[str]) -> list[tuple[str, str]]:
@@ -92,11 +105,27 @@ def _describe_scene(path: str | PathLike[str]) -> list[tuple[str, str]]:
     return [
         ("points", str(len(scene))),
         *_extent(scene.xyz),
-        ("colours", _yes(scene.rgb)),
+        *_describe_appearance(scene.appearance),
+        *_beside(path),
         ("ids", _yes(scene.ids)),
         ("track length", tracks),
         ("cameras", cameras),
     ]
+
+
+def _describe_appearance(appearance: Appearance) -> list[tuple[str, str]]:
+    return [("colours", _yes(appearance.rgb)), ("descriptors", descriptor_text(appearance))]
+
+
+def _beside(path: str | PathLike[str]) -> list[tuple[str, str]]:
+    """The file beside a COLMAP model whose descriptors could be published."""
+    if kind_of(path) is not Kind.SCENE_MODEL:
+        return []
+    try:
+        file = file_beside(path)
+        return [("descriptors beside it", "no" if file is None else os.path.relpath(file, path))]
+    except (InputError, OSError) as error:
+        return [("descriptors beside it", sentence(error))]
 
 
 def _describe_recovery(path: str | PathLike[str]) -> list[tuple[str, str]]:

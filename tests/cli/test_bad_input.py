@@ -164,6 +164,9 @@ def test_a_scene_without_extent_has_no_truth(folder, capfd):
         (["--scheme", "radial"], "invalid choice: 'radial'"),
         (["--seed", "-1"], "argument --seed: got -1; expected 0 to 2^63 - 1"),
         (["--rgb"], "scene.npz has no colours; leave out --rgb"),
+        (["--descriptors"], "scene.npz has no descriptors; give a scene npz that has them, or a COLMAP model"),
+        (["--descriptors", "lines.npz"], "got descriptors lines.npz for a scene without point ids"),
+        (["--descriptors", "out.npz"], "got out.npz twice"),
         (["--truth", "out.npz"], "got out.npz twice"),
         (["--truth", "./scene.npz"], "got ./scene.npz twice"),
         (["--truth", "truth.npz"], "truth.npz exists; choose another path, or replace it (--force, overwrite=True)"),
@@ -173,6 +176,30 @@ def test_a_scene_without_extent_has_no_truth(folder, capfd):
 )
 def test_bad_lift_flags(folder, capfd, flags, message):
     assert message in refused(folder, capfd, "lift", "scene.npz", "-o", "out.npz", *flags)
+
+
+def test_descriptors_of_scenes_with_ids(folder, capfd):
+    np.savez(folder / "ids.npz", xyz=POINTS, ids=np.arange(60))
+    for name, message in (
+        ("missing.npz", "missing.npz does not exist; expected a file of descriptors"),
+        ("folder", "folder is no regular file; expected an npz with point3D_id and descriptor, COLMAP's database.db"),
+        ("good.safetensors", "good.safetensors is no file of descriptors; expected an npz"),
+        ("cut.npz", "cut.npz is truncated or damaged"),
+        ("lines.npz", "lines.npz has no point3D_id; expected an array of shape (any)"),
+    ):
+        assert message in refused(folder, capfd, "lift", "ids.npz", "-o", "out.npz", "--descriptors", name)
+
+
+@pytest.mark.parametrize(
+    ("output", "flag", "message"),
+    [
+        ("out.ply", "--descriptors", "out.ply cannot hold descriptors; write .npz, or leave them out"),
+        ("out.obj", "--descriptors", "out.obj cannot hold descriptors; write .npz, or leave them out"),
+        ("out.obj", "--rgb", "out.obj cannot hold colours; write .npz, or leave them out"),
+    ],
+)
+def test_line_sets_that_cannot_hold_what_is_asked_for(folder, capfd, output, flag, message):
+    assert message in refused(folder, capfd, "lift", "scene.npz", "-o", output, flag)
 
 
 HEURISTIC = ("--method", "heuristic")

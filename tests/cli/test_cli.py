@@ -236,6 +236,55 @@ def test_info_knows_every_kind(tmp_path, scene, lifted, model, tiny_checkpoint, 
         assert kind in capsys.readouterr().out
 
 
+def test_lift_stores_what_it_is_asked_to_and_info_says_it(tmp_path, scene, capsys):
+    descriptor = np.random.default_rng(1).integers(0, 256, (300, 128), dtype=np.uint8)
+    with np.load(scene) as arrays:
+        np.savez(tmp_path / "rich.npz", **arrays, descriptor=descriptor, descriptor_kind=np.array("sift"))
+    np.savez(tmp_path / "other.npz", point3D_id=np.arange(300)[::-1] + 1000, descriptor=descriptor[::-1] // 2)
+    truth = ("--truth", tmp_path / "rich.truth.npz", "--force")
+    for words, rgb, factor, says in (
+        ([], False, None, "the lines alone"),
+        (["--rgb"], True, None, "the lines; an attacker also uses the colours"),
+        (["--descriptors"], False, 1, "the lines; an attacker also uses the descriptors"),
+        (["--descriptors", tmp_path / "other.npz", "--rgb"], True, 2, "also uses the colours and descriptors"),
+    ):
+        assert run("lift", tmp_path / "rich.npz", "-o", tmp_path / "rich.lines.npz", *truth, *words) == 0
+        out = capsys.readouterr().out
+        assert ("sift, 128 x uint8" in out) == (factor is not None)
+        lines, index = load_lines(tmp_path / "rich.lines.npz"), load_truth(tmp_path / "rich.truth.npz").index
+        assert (lines.rgb is not None) == rgb
+        if factor is None:
+            assert lines.descriptor is None
+        else:
+            np.testing.assert_array_equal(lines.descriptor, descriptor[index] // factor)
+        assert run("info", tmp_path / "rich.lines.npz") == 0
+        out = capsys.readouterr().out
+        assert says in out and ("sift, 128 x uint8" in out) == (factor is not None)
+    assert run("info", tmp_path / "rich.npz") == 0
+    assert "sift, 128 x uint8" in capsys.readouterr().out
+
+
+def test_info_names_the_descriptors_beside_a_model(model, capsys):
+    from l2p.io.colmap import read_model
+
+    assert run("info", model) == 0
+    assert "no" in said_beside(capsys.readouterr().out)
+    ids = np.array(list(read_model(model).point3D_ids()))
+    np.savez(model / "descriptors.npz", point3D_id=ids, descriptor=np.ones((len(ids), 32), dtype=np.float32))
+    assert run("info", model) == 0
+    assert "descriptors.npz" in said_beside(capsys.readouterr().out)
+    assert run("lift", model, "-o", model.parent / "lines.npz", "--descriptors") == 0
+    assert f"descriptors of {model / 'descriptors.npz'}: unknown, 32 x float32" in capsys.readouterr().out
+    (model / "descriptors.npz").unlink()
+    (model.parent / "database.db").write_bytes(b"SQLite format 3\0 but nothing else")
+    assert run("info", model) == 0, "a damaged file beside it does not hide the model"
+    assert "damaged" in said_beside(capsys.readouterr().out)
+
+
+def said_beside(table: str) -> str:
+    return next(row for row in table.splitlines() if "descriptors beside it" in row)
+
+
 def test_demo_hands_its_flags_on(tmp_path, monkeypatch):
     calls = []
     demo = importlib.import_module("l2p.cli.demo")

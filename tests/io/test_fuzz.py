@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sqlite3
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from l2p.errors import InputError
+from l2p.io.colmap import scene_of_model
+from l2p.io.descriptors import with_descriptors
 from l2p.io.line_files import load_lines, save_lines
 from l2p.io.recovery_files import load_recovery, save_recovery
 from l2p.io.scene_files import load_scene, load_truth, save_scene_ply, save_truth
@@ -92,6 +95,52 @@ def test_random_bytes_after_a_true_beginning(beginning, content):
 @settings(deadline=None, max_examples=400)
 def test_mutated_files(content):
     _read(content)
+
+
+@pytest.mark.parametrize("ending", ["db", "h5"])
+@given(st.data())
+@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_mutated_features(features, ending, data):
+    model, scene, files = features
+    content = bytearray(files[ending])
+    for _ in range(data.draw(st.integers(1, 6))):
+        # Most of a file are descriptors; what is damaged most is the rest.
+        at = data.draw(st.integers(0, len(content) - 1) | st.integers(0, 4096))
+        content[at] = data.draw(st.integers(0, 255))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "file"
+        path.write_bytes(bytes(content[: data.draw(st.just(len(content)) | st.integers(16, len(content)))]))
+        with contextlib.suppress(InputError):
+            with_descriptors(scene, path, model)
+
+
+@pytest.fixture(scope="module")
+def features(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Scene, dict[str, bytes]]:
+    """A model of 8 points, its scene, and a database and features of hloc."""
+    import h5py
+    import pycolmap
+
+    pycolmap.set_random_seed(0)
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_points3D, options.num_frames_per_rig = 8, 2
+    model = pycolmap.synthesize_dataset(options)
+    folder = tmp_path_factory.mktemp("features")
+    with sqlite3.connect(folder / "db") as database, h5py.File(folder / "h5", "w") as file:
+        for table in ("keypoints", "descriptors"):
+            database.execute(
+                f"CREATE TABLE {table} (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB)"
+            )
+        database.execute("CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE)")
+        for number, image in model.images.items():
+            xy = np.array([keypoint.xy for keypoint in image.points2D], dtype=np.float32)
+            descriptor = np.full((len(xy), 128), number, dtype=np.uint8)
+            database.execute("INSERT INTO images VALUES (?, ?)", (number, image.name))
+            for table, value in (("keypoints", xy), ("descriptors", descriptor)):
+                row = (number, *value.shape, value.tobytes())
+                database.execute(f"INSERT INTO {table} VALUES (?, ?, ?, ?)", row)
+            file[f"{image.name}/keypoints"], file[f"{image.name}/descriptors"] = xy, descriptor.T / 255
+    database.close()
+    return model, scene_of_model(model), {ending: (folder / ending).read_bytes() for ending in ("db", "h5")}
 
 
 @pytest.mark.parametrize("text", [False, True])

@@ -102,6 +102,33 @@ def test_line_sets_keep_the_lines(tmp_path, ending, offset):
         np.testing.assert_array_equal(again.rgb, cloud.rgb)
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_npz_keeps_the_descriptors_to_the_bit(tmp_path, rng, dtype):
+    descriptor = (rng.integers(0, 256, (20, 128)) if dtype == np.uint8 else rng.normal(size=(20, 64))).astype(dtype)
+    appearance = Appearance(descriptor=descriptor, descriptor_kind="sift")
+    cloud = LineCloud.through(rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), appearance)
+    save_lines(cloud, tmp_path / "lines.npz")
+    again = load_lines(tmp_path / "lines.npz")
+    assert again.descriptor is not None and again.descriptor.dtype == dtype and again.descriptor_kind == "sift"
+    np.testing.assert_array_equal(again.descriptor, descriptor)
+    with np.load(tmp_path / "lines.npz") as archive:
+        assert list(archive) == ["direction", "moment", "descriptor", "descriptor_kind", "scheme", "version"]
+        assert archive["version"] == 1, "a reader that knows no descriptors finds the lines"
+
+
+def test_a_kind_without_descriptors_is_ignored(tmp_path):
+    assert load_lines(npz(tmp_path / "lines.npz", descriptor_kind=np.array("sift"))).descriptor_kind is None
+
+
+def test_line_sets_leave_out_what_they_cannot_hold(tmp_path):
+    cloud = cloud_of(colours=True)
+    rich = LineCloud(cloud.direction, cloud.moment, cloud.rgb, descriptor=np.ones((20, 8), dtype=np.uint8))
+    for ending in ("ply", "obj"):
+        save_lines(cloud, tmp_path / f"a.{ending}")
+        save_lines(rich, tmp_path / f"b.{ending}")
+        assert (tmp_path / f"a.{ending}").read_bytes() == (tmp_path / f"b.{ending}").read_bytes()
+
+
 def test_drawn_pieces_are_on_the_lines_and_blind_to_the_points():
     """The same lines through other points give the same pieces, so a piece cannot tell its point."""
     rng = np.random.default_rng(3)
@@ -218,6 +245,21 @@ def test_a_written_line_cloud_has_the_order_of_its_directions(tmp_path):
         ({"rgb": np.zeros((20, 3))}, "rgb of type float64; expected integers"),
         ({"rgb": np.zeros((20, 3), dtype=np.int64)}, "rgb of type int64; expected uint8"),
         ({"rgb": np.zeros((5, 3), dtype=np.uint8)}, r"rgb of shape \(5, 3\); expected \(20, 3\)"),
+        ({"descriptor": np.zeros((19, 4), dtype=np.uint8)}, r"descriptor of shape \(19, 4\); expected \(20, any\)"),
+        ({"descriptor": np.zeros(20, dtype=np.uint8)}, r"descriptor of shape \(20,\); expected \(20, any\)"),
+        ({"descriptor": np.zeros((20, 0), dtype=np.uint8)}, r"got descriptors of type uint8, shape \(20, 0\)"),
+        ({"descriptor": np.zeros((20, 4), dtype=np.int8)}, "descriptors of type int8; expected uint8 or float32"),
+        ({"descriptor": np.zeros((20, 4), dtype="U1")}, "descriptor of type <U1; expected numbers"),
+        (
+            {"descriptor": changed(np.zeros((20, 4)), 3, np.nan)},
+            r"got 1 descriptor\(s\) that are NaN .* first in row 3",
+        ),
+        ({"descriptor": changed(np.zeros((20, 4)), 3, 1e300)}, r"got 1 descriptor\(s\) that are NaN or infinite"),
+        (
+            {"descriptor": np.zeros((20, 4)), "descriptor_kind": np.array(1)},
+            "descriptor_kind of type int64; expected a s",
+        ),
+        ({"descriptor": np.full((20, 4), None)}, "holds Python objects"),
         ({"direction": np.full((20, 3), None)}, "holds Python objects, which l2p never loads"),
     ],
 )
