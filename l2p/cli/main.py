@@ -202,6 +202,15 @@ def _add_audit(commands: Any) -> None:
         "--seed", type=_seed, default=0, metavar="S", help="seed of the line clouds (default: %(default)s)"
     )
     add_method(audit, leave_out=("fraction",))
+    audit.add_argument(
+        "--descriptors",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="descriptors that are published with a COLMAP model (default without FILE: those found beside the model); "
+        "an npz scene has its own",
+    )
+    _add_ignore(audit, "of the map")
     audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
     audit.add_argument(
         "--max-view-points",
