@@ -193,8 +193,8 @@ def _room(attack: Attack, where: torch.device, memory: float | None, lines: int,
 def _about(lines: LineCloud, attack: Attack, name: str) -> dict[str, Any]:
     """Identity of a run, for its journal: the same for the same lines, method, settings and version."""
     digest = hashlib.sha256(lines.direction.tobytes() + lines.moment.tobytes())
-    for name in lines.appearance.names:
-        digest.update(name.encode() + getattr(lines, name).tobytes())
+    for attribute in lines.appearance.names:
+        digest.update(attribute.encode() + getattr(lines, attribute).tobytes())
     return {
         "lines": digest.hexdigest(),
         "method": name or type(attack).__name__,

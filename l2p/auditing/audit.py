@@ -1,22 +1,27 @@
-"""The audit: how much of a map an attacker would recover, at several fractions of its points.
+"""The audit: how much of a map attackers would recover, at several fractions of its points.
 
 A scene is lifted, attacked and scored against its own points. A line cloud, whose points are unknown, is attacked as it
-is, and its scores are predicted from the calibrated confidence.
+is, and its scores are predicted from the calibrated confidence. Attackers differ in the published attributes that they
+use; all attack the same lines.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 
+from l2p.attacks.named import named_attack
 from l2p.attacks.run import recover
 from l2p.attacks.settings import DEFAULT_METHOD, owners_of
 from l2p.auditing import FRACTIONS
+from l2p.auditing.attackers import Attacker, attackers_of, others
 from l2p.checks import check_fraction
 from l2p.errors import InputError
 from l2p.judging.accuracy import compare, spacing
@@ -24,6 +29,7 @@ from l2p.judging.curves import SHARES, THRESHOLDS, Curves, measured_curves, pred
 from l2p.judging.measure import measured
 from l2p.judging.provenance import machine, versions
 from l2p.judging.scores import Scores
+from l2p.maps.appearance import ATTRIBUTES
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
@@ -31,8 +37,10 @@ from l2p.maps.truth import Truth
 from l2p.schemes.hide import hide
 from l2p.work.progress import NO_PROGRESS, Progress
 
+#: Recovers lines that hold a fraction of the map's points.
+_Recover = Callable[[LineCloud, float], Recovery]
 #: Version of the layout of ``audit.json``, written into it.
-AUDIT_VERSION = 1
+AUDIT_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -67,13 +75,16 @@ class Trial:
     ----------
     fraction : float
         Fraction of the map's points that was lifted.
+    used : tuple of str
+        The attacker: names of the published attributes that the attack used.
     lines : LineCloud
+        The lines without attributes, one object for all attackers.
     recovery : Recovery
         The recovery without neighbours and affinities.
     truth : Truth or None
         The points behind the lines; None if the audit was given a line cloud.
     rgb : (lines, 3) uint8 or None
-        Colours of the points behind the lines, for pictures; the attack does not use them.
+        Colours of the points behind the lines, for pictures, also if the attack did not use them.
     scores : Scores or None
         None without the truth.
     prediction : Prediction or None
@@ -82,6 +93,7 @@ class Trial:
     """
 
     fraction: float
+    used: Attacker
     lines: LineCloud
     recovery: Recovery
     truth: Truth | None
@@ -94,6 +106,20 @@ class Trial:
     def seconds(self) -> float:
         """Wall time of the attack."""
         return float(self.recovery.info["seconds"])
+
+    @property
+    def within(self) -> float | None:
+        """Share of points within 1 spacing: measured if possible, else predicted, else None."""
+        if self.scores is not None:
+            return self.scores.within_spacings["1"]
+        return None if self.prediction is None else self.prediction.within_spacing
+
+    @property
+    def confident_half(self) -> float | None:
+        """The same share among the most confident half."""
+        if self.scores is not None:
+            return self.scores.confident_half
+        return None if self.prediction is None else self.prediction.confident_half
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -112,7 +138,8 @@ class Audit:
     spacing : float
         Spacing of the whole map, scene units; estimated from the recovered points if a line cloud was given.
     trials : tuple of Trial
-        From the largest to the smallest fraction.
+        From the largest to the smallest fraction, and in each from the attacker who uses most to the one who sees lines
+        alone.
     method : str
     seed : int or None
         Seed of the liftings; None if a line cloud was given.
@@ -120,6 +147,10 @@ class Audit:
         The scene is in metres.
     camera_centers : (cameras, 3) float64 or None
         Camera centres of the scene, if it has any, scene units.
+    published : tuple of str
+        Attributes of the map that attackers may use, also if the method uses none.
+    ignored : tuple of str
+        Attributes that were left out on request.
     """
 
     name: str
@@ -130,6 +161,31 @@ class Audit:
     seed: int | None
     metric: bool
     camera_centers: Float[np.ndarray, "cameras 3"] | None = None
+    published: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
+
+    @property
+    def fractions(self) -> tuple[float, ...]:
+        """Fractions, the largest first."""
+        return tuple(dict.fromkeys(trial.fraction for trial in self.trials))
+
+    @property
+    def attackers(self) -> tuple[Attacker, ...]:
+        """Attackers, from the one who uses most to the one who sees lines alone."""
+        return tuple(dict.fromkeys(trial.used for trial in self.trials))
+
+    def of_attacker(self, attacker: Attacker) -> tuple[Trial, ...]:
+        """Trials of one attacker, the largest fraction first."""
+        return tuple(trial for trial in self.trials if trial.used == attacker)
+
+    @property
+    def strongest(self) -> tuple[Trial, ...]:
+        """Trials of the attacker who uses most, the largest fraction first."""
+        return self.of_attacker(self.attackers[0])
+
+    def without(self, attributes: Collection[str]) -> Trial:
+        """Trial at the largest fraction of the attacker who uses most of what is left without these attributes."""
+        return next(trial for trial in self.trials if not set(trial.used) & set(attributes))
 
     @property
     def known(self) -> bool:
@@ -152,6 +208,8 @@ class Audit:
             "metric": self.metric,
             "seed": self.seed,
             "method": self.method,
+            "published": list(self.published),
+            "ignored": list(self.ignored),
             "versions": versions(),
             "machine": {**machine(), "threads": torch.get_num_threads()},
             "thresholds": THRESHOLDS.tolist(),
@@ -166,6 +224,7 @@ def audit(
     seed: int = 0,
     *,
     method: str = DEFAULT_METHOD,
+    ignore: Collection[str] = (),
     metric: bool = False,
     device: str = "cpu",
     memory: float | None = None,
@@ -173,18 +232,24 @@ def audit(
     name: str = "map",
     **settings: Any,
 ) -> Audit:
-    """Measure how much of a map an attacker would recover, if its line cloud were published.
+    """Measure how much of a map attackers would recover, if its line cloud were published.
+
+    At each fraction, one attacker uses all published attributes (colours, descriptors) that the method can use, others
+    leave some or all of them out: up to four attacks on the same lines.
 
     Parameters
     ----------
     scene : Scene, (points, 3) array or LineCloud
-        A scene or its points are lifted, attacked and scored. A line cloud is attacked as it is.
+        A scene or its points are lifted, attacked and scored. A line cloud is attacked as it is. Its colours and
+        descriptors are taken as published.
     fractions : sequence of float, optional
         Fractions of the points to lift, in (0, 1]; default :data:`FRACTIONS`. Not with a line cloud.
     seed : int
         Seed of the liftings, for repeatable audits. Line clouds to publish must be lifted without a seed.
     method, device, memory, **settings
         See :func:`l2p.recover`; attacks that use the fraction of the points get the true one.
+    ignore : collection of str
+        Attributes that no attacker may use, some of ``rgb`` and ``descriptor``: those that will not be published.
     metric : bool
         The scene is in metres.
     progress : Progress
@@ -202,8 +267,8 @@ def audit(
     FileNotFoundError
         If the checkpoint does not exist.
     InputError
-        If a fraction is out of range or given with a line cloud, the points have no extent, or as for
-        :func:`l2p.recover`.
+        If a fraction is out of range or given with a line cloud, an attribute is unknown, the points have no extent, or
+        as for :func:`l2p.recover`.
 
     Examples
     --------
@@ -212,20 +277,25 @@ def audit(
     >>> [len(trial) for trial in found.trials]
     [200, 100]
     """
-    settings |= {"method": method, "device": device, "memory": memory}
+    if isinstance(scene, LineCloud) and fractions is not None:
+        raise InputError("got fractions for a line cloud; expected none, since it is attacked as it is")
+    scene = scene if isinstance(scene, LineCloud | Scene) else Scene(scene)
+    published = scene.appearance.without(ignore)
+    attackers = attackers_of(named_attack(method, **settings), published)
+    ignored = tuple(attribute for attribute in ATTRIBUTES if attribute in ignore)
+    attack = partial(_attack, method=method, device=device, memory=memory, progress=progress, settings=settings)
     if isinstance(scene, LineCloud):
-        if fractions is not None:
-            raise InputError("got fractions for a line cloud; expected none, since it is attacked as it is")
-        return _audit_lines(scene, settings, metric, progress, name)
-    scene = scene if isinstance(scene, Scene) else Scene(scene)
+        with _task(progress, [len(scene)], attackers) as advance:
+            trials = _line_trials(scene, attackers, attack, advance)
+        scale = spacing(trials[0].recovery.xyz)
+        return Audit(name, len(scene), scale, trials, method, None, metric, None, published.names, ignored)
     wanted = _fractions(FRACTIONS if fractions is None else fractions)
     scale = spacing(scene.xyz)
-    trials: list[Trial] = []
-    with progress.task("lines attacked", total=sum(max(1, round(len(scene) * share)) for share in wanted)) as advance:
+    trials = ()
+    with _task(progress, [max(1, round(len(scene) * share)) for share in wanted], attackers) as advance:
         for share in wanted:
-            trials.append(_trial(scene, share, seed, scale, settings, metric, progress))
-            advance(len(trials[-1]))
-    return Audit(name, len(scene), scale, tuple(trials[::-1]), method, seed, metric, scene.camera_centers)
+            trials = (*_trials(scene, share, seed, scale, attackers, attack, metric, advance), *trials)
+    return Audit(name, len(scene), scale, trials, method, seed, metric, scene.camera_centers, published.names, ignored)
 
 
 def _fractions(wanted: Sequence[float]) -> list[float]:
@@ -237,50 +307,64 @@ def _fractions(wanted: Sequence[float]) -> list[float]:
     return sorted({float(share) for share in wanted})
 
 
-def _trial(
+def _task(
+    progress: Progress, lines: Sequence[int], attackers: Sequence[Attacker]
+) -> AbstractContextManager[Callable[[int], None]]:
+    """Open the progress of all attacks; ``lines`` of each fraction."""
+    attacks = len(lines) * len(attackers)
+    name = f"lines of {attacks} attacks" if attacks > 1 else "lines attacked"
+    return progress.task(name, total=sum(lines) * len(attackers))
+
+
+def _trials(
     scene: Scene,
     fraction: float,
     seed: int,
     scale: float,
-    settings: dict[str, Any],
+    attackers: Sequence[Attacker],
+    attack: _Recover,
     metric: bool,
-    progress: Progress,
-) -> Trial:
-    """Lift a fraction of the scene, attack it, and score the recovery."""
-    hidden = hide(scene, seed, fraction)
+    advance: Callable[[int], None],
+) -> list[Trial]:
+    """Lift a fraction of the scene once, attack it as each attacker, and score the recoveries."""
+    used = attackers[0]
+    hidden = hide(scene, seed, fraction, rgb="rgb" in used, descriptor="descriptor" in used)
     truth = replace(hidden.truth, spacing=scale)
     rgb = None if scene.rgb is None else scene.rgb[truth.index]
-    recovery = _attack(hidden.map, fraction, settings, progress)
-    found = compare(recovery, truth, metric=metric)
-    return Trial(
-        fraction,
-        hidden.map,
-        recovery,
-        truth,
-        rgb,
-        Scores(measured(found)),
-        Prediction.of(recovery),
-        measured_curves(found),
-    )
+    bare, trials = hidden.map.without(ATTRIBUTES), []
+    for attacker in attackers:
+        recovery = attack(hidden.map.without(others(attacker)), fraction)
+        found = compare(recovery, truth, metric=metric)
+        scores, curves = Scores(measured(found)), measured_curves(found)
+        trials.append(Trial(fraction, attacker, bare, recovery, truth, rgb, scores, Prediction.of(recovery), curves))
+        advance(len(bare))
+    return trials
 
 
-def _audit_lines(lines: LineCloud, settings: dict[str, Any], metric: bool, progress: Progress, name: str) -> Audit:
-    """Attack a line cloud whose points are unknown."""
-    recovery = _attack(lines, 1.0, settings, progress)
-    trial = Trial(1.0, lines, recovery, None, lines.rgb, None, Prediction.of(recovery), predicted_curves(recovery))
-    return Audit(name, len(lines), spacing(recovery.xyz), (trial,), settings["method"], None, metric)
+def _line_trials(
+    lines: LineCloud, attackers: Sequence[Attacker], attack: _Recover, advance: Callable[[int], None]
+) -> tuple[Trial, ...]:
+    """Attack a line cloud whose points are unknown as each attacker."""
+    bare, trials = lines.without(ATTRIBUTES), []
+    for attacker in attackers:
+        recovery = attack(lines.without(others(attacker)), 1.0)
+        prediction, curves = Prediction.of(recovery), predicted_curves(recovery)
+        trials.append(Trial(1.0, attacker, bare, recovery, None, lines.rgb, None, prediction, curves))
+        advance(len(lines))
+    return tuple(trials)
 
 
-def _attack(lines: LineCloud, fraction: float, settings: dict[str, Any], progress: Progress) -> Recovery:
+def _attack(lines: LineCloud, fraction: float, *, method: str, settings: dict[str, Any], **where: Any) -> Recovery:
     """Recover, then drop neighbours and affinities; pass the true fraction to attacks with that setting."""
-    known = {"fraction": fraction} if settings["method"] in owners_of("fraction") else {}
-    recovery = recover(lines, progress=progress, **known, **settings)
+    known = {"fraction": fraction} if method in owners_of("fraction") else {}
+    recovery = recover(lines, method, **where, **known, **settings)
     return replace(recovery, neighbors=None, affinity=None)
 
 
 def _as_dict(trial: Trial) -> dict[str, Any]:
     return {
         "fraction": trial.fraction,
+        "used": list(trial.used),
         "lines": len(trial),
         "attack": trial.recovery.info,
         "scores": None if trial.scores is None else trial.scores.as_dict(),

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from l2p.auditing.attackers import named, seen_by
 from l2p.auditing.audit import Audit, Trial
 from l2p.judging.curves import SHARES, SHOWN, THRESHOLDS
 from l2p.show.page.numbers import fraction, percent
@@ -30,6 +31,8 @@ _VARIABLES = {
     **{f"#04040{number}": f"var(--series-{number})" for number in range(SERIES)},
 }
 _WIDTH, _HEIGHT = 4.1, 3.5
+#: Least ratio of two fractions that are both labelled.
+_TICKS_APART = 1.6
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,13 @@ class Chart:
 
 
 def charts(audit: Audit) -> list[Chart]:
-    """Draw the charts for which this audit has curves."""
+    """Draw the charts for which this audit has curves: comparisons of attackers, then the strongest attacker alone."""
     curves = [trial.curves for trial in audit.trials]
     drawn = []
+    if len(audit.attackers) > 1 and audit.known:
+        drawn.append(_attackers(audit))
+        if len(audit.fractions) > 1:
+            drawn.append(_thinned(audit))
     if all(each.within for each in curves):
         drawn.append(_distribution(audit))
     if all(each.risk for each in curves):
@@ -55,81 +62,144 @@ def charts(audit: Audit) -> list[Chart]:
     return drawn
 
 
-def _distribution(audit: Audit) -> Chart:
-    def draw(axes: Axes) -> None:
-        axes.axvline(1, color=_INK, linewidth=0.8, linestyle=(0, (1, 2)))
-        for trial, style in _styled(audit):
-            axes.plot(THRESHOLDS, trial.curves.within, **style)
-        axes.set(xscale="log", xlim=SHOWN, ylim=(0, 1))
-        ticks = (0.05, 0.25, 1, 5, 20)
-        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        axes.minorticks_off()
-        axes.set(xlabel="error (spacings)", ylabel="points with at most this error")
-
-    ends = "; ".join(
-        f"{_of(trial.fraction)}: {percent(trial.scores.within_spacings['1'])}" for trial in audit.trials if trial.scores
+def _attackers(audit: Audit) -> Chart:
+    trials = [trial for trial in audit.trials if trial.fraction == audit.fractions[0]]
+    labels = [seen_by(trial.used) for trial in trials]
+    return Chart(
+        f"How much do {named(audit.attackers[0])} give away?",
+        "Share of the points with an error of at most so many spacings, for each attacker, if "
+        f"{_of(audit.fractions[0])} are published. The dotted line marks 1 spacing.",
+        f"Curves of the share of points against the error. Within 1 spacing: {_within(trials, labels)}.",
+        _svg("attackers", lambda axes: _draw_errors(axes, trials, labels)),
     )
+
+
+def _thinned(audit: Audit) -> Chart:
+    labels = [seen_by(attacker) for attacker in audit.attackers]
+    curves = [audit.of_attacker(attacker) for attacker in audit.attackers]
+
+    def draw(axes: Axes) -> None:
+        for trials, style in zip(curves, _styles(labels), strict=True):
+            within = [np.nan if trial.within is None else trial.within for trial in trials]
+            axes.plot(audit.fractions, within, marker="o", markersize=3.5, clip_on=False, **style)
+        axes.set(xscale="log", ylim=(0, 1), xlabel="points published", ylabel="of these, right")
+        ticks = _apart(audit.fractions)
+        axes.set_xticks(ticks, [fraction(tick) for tick in ticks])
+        axes.minorticks_off()
+
+    places = [_of(each) for each in audit.fractions]
+    ends = "; ".join(f"{label}: {_within(trials, places)}" for label, trials in zip(labels, curves, strict=True))
+    return Chart(
+        "How much does a thinner map give away?",
+        "Share of the published points that come back within 1 spacing of the whole map, for each attacker: compare "
+        "what leaving out points saves with what leaving out attributes saves.",
+        f"Curves of the share of right points against the share published. {ends}.",
+        _svg("thinned", draw),
+    )
+
+
+def _distribution(audit: Audit) -> Chart:
+    trials, labels = _shown(audit)
     return Chart(
         "How far off are the recovered points?",
         "Share of the points with an error of at most so many spacings, for each share of the map that is published. "
-        "A curve further to the left and up means that more is given away. The dotted line marks 1 spacing.",
-        f"Curves of the share of points against the error. Within 1 spacing: {ends}.",
-        _svg("distribution", draw),
+        "A curve further to the left and up means that more is given away. The dotted line marks 1 spacing."
+        f"{_who(audit)}",
+        f"Curves of the share of points against the error. Within 1 spacing: {_within(trials, labels)}.",
+        _svg("distribution", lambda axes: _draw_errors(axes, trials, labels)),
     )
 
 
+def _draw_errors(axes: Axes, trials: Sequence[Trial], labels: Sequence[str]) -> None:
+    """Draw the distribution of errors of each trial."""
+    axes.axvline(1, color=_INK, linewidth=0.8, linestyle=(0, (1, 2)))
+    for trial, style in zip(trials, _styles(labels), strict=True):
+        axes.plot(THRESHOLDS, trial.curves.within, **style)
+    axes.set(xscale="log", xlim=SHOWN, ylim=(0, 1))
+    ticks = (0.05, 0.25, 1, 5, 20)
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.minorticks_off()
+    axes.set(xlabel="error (spacings)", ylabel="points with at most this error")
+
+
 def _risk(audit: Audit) -> Chart:
+    trials, labels = _shown(audit)
+
     def draw(axes: Axes) -> None:
-        for trial, style in _styled(audit):
+        for trial, style in zip(trials, _styles(labels), strict=True):
             axes.plot(SHARES, trial.curves.risk, **style)
         axes.set(xlim=(0, 1), ylim=(0, None), xlabel="points kept, most confident first", ylabel="of these, wrong")
         _percent_axis(axes.xaxis)
 
     half = int(np.searchsorted(SHARES, 0.5))
-    ends = "; ".join(f"{_of(trial.fraction)}: {percent(trial.curves.risk[half])}" for trial in audit.trials)
+    ends = "; ".join(
+        f"{label}: {percent(trial.curves.risk[half])}" for trial, label in zip(trials, labels, strict=True)
+    )
     expected = "" if audit.known else " This is what the confidence predicts; nothing was measured."
     return Chart(
         "Does the attacker know which points are right?",
         "Risk-coverage: of the points that the attacker keeps, the most confident ones, how many are wrong, which is "
         "more than 1 spacing off. Where the curve falls to the left, the attacker can tell right from wrong."
-        f"{expected}",
+        f"{expected}{_who(audit)}",
         f"Curves of the share of wrong points against the share kept. Wrong among the most confident half: {ends}.",
         _svg("risk", draw),
     )
 
 
 def _reliability(audit: Audit) -> Chart:
+    trials, labels = _shown(audit)
+
     def draw(axes: Axes) -> None:
         axes.plot([0, 1], [0, 1], color=_INK, linewidth=0.8, linestyle=(0, (1, 2)))
-        for trial, style in _styled(audit):
+        for trial, style in zip(trials, _styles(labels), strict=True):
             axes.plot(trial.curves.claimed, trial.curves.right, marker="o", markersize=3.5, clip_on=False, **style)
         axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="confidence of the attack", ylabel="of these, right")
         _percent_axis(axes.xaxis)
 
     ends = "; ".join(
-        f"{_of(trial.fraction)}: {trial.scores.calibration_error:.3f}" for trial in audit.trials if trial.scores
+        f"{label}: {trial.scores.calibration_error:.3f}"
+        for trial, label in zip(trials, labels, strict=True)
+        if trial.scores
     )
     return Chart(
         "Is the confidence honest?",
         "Calibration: of the points that the attack gives a confidence of 80 %, 80 % should be within 1 spacing. On "
-        "the dotted line the confidence is exactly right; below it, the attack is too sure of itself.",
+        f"the dotted line the confidence is exactly right; below it, the attack is too sure of itself.{_who(audit)}",
         f"Curves of the share of right points against their confidence. Calibration error, {ends}.",
         _svg("reliability", draw),
     )
 
 
-def _styled(audit: Audit) -> Iterator[tuple[Trial, dict[str, Any]]]:
-    """Yield each trial with the style of its curve."""
-    for number, trial in enumerate(audit.trials):
-        yield (
-            trial,
-            {
-                "color": f"#04040{number % SERIES}",
-                "linestyle": _DASHES[(number + number // SERIES) % len(_DASHES)],
-                "label": _of(trial.fraction) if audit.known else "expected",
-                "linewidth": 1.8,
-            },
-        )
+def _shown(audit: Audit) -> tuple[tuple[Trial, ...], list[str]]:
+    """Trials of the strongest attacker, by fraction; of a line cloud, those of all attackers. With their labels."""
+    if audit.known:
+        return audit.strongest, [_of(trial.fraction) for trial in audit.strongest]
+    several = len(audit.attackers) > 1
+    return audit.trials, [seen_by(trial.used) if several else "expected" for trial in audit.trials]
+
+
+def _who(audit: Audit) -> str:
+    """Name the only attacker of a chart, where there are others."""
+    if not audit.known or len(audit.attackers) == 1:
+        return ""
+    return f" The attacker sees {seen_by(audit.attackers[0])}."
+
+
+def _within(trials: Iterable[Trial], labels: Iterable[str]) -> str:
+    """List the share within 1 spacing of each trial."""
+    known = [(label, trial.within) for trial, label in zip(trials, labels, strict=True)]
+    return "; ".join(f"{label}: {percent(within)}" for label, within in known if within is not None)
+
+
+def _styles(labels: Iterable[str]) -> Iterator[dict[str, Any]]:
+    """Yield the style of each curve."""
+    for number, label in enumerate(labels):
+        yield {
+            "color": f"#04040{number % SERIES}",
+            "linestyle": _DASHES[(number + number // SERIES) % len(_DASHES)],
+            "label": label,
+            "linewidth": 1.8,
+        }
 
 
 def _svg(name: str, draw: Callable[[Axes], None]) -> str:
@@ -184,6 +254,15 @@ def _percent_axis(axis: Axis) -> None:
 
     axis.set_major_locator(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]))
     axis.set_major_formatter(FuncFormatter(lambda share, _: f"{100 * share:.6g} %"))
+
+
+def _apart(fractions: Sequence[float]) -> list[float]:
+    """Choose fractions, given in descending order, whose labels do not overlap on a logarithmic axis."""
+    chosen = [fractions[0]]
+    for each in fractions[1:]:
+        if each <= chosen[-1] / _TICKS_APART:
+            chosen.append(each)
+    return chosen
 
 
 def _of(share: float) -> str:

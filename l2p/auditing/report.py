@@ -10,9 +10,10 @@ from itertools import groupby
 from os import PathLike
 from typing import Any, NamedTuple
 
+from l2p.auditing.attackers import named, others, seen_by
 from l2p.auditing.audit import Audit, Trial
 from l2p.auditing.charts import charts
-from l2p.auditing.words import headline, sparser, typical
+from l2p.auditing.words import sentences
 from l2p.io.atomic import atomic_folder
 from l2p.judging.accuracy import errors
 from l2p.judging.measure import Figure, Form, Need, figures
@@ -33,6 +34,10 @@ _FORMS: dict[Form, Callable[[Any], str]] = {
 }
 
 
+#: Cells of a row of a table; the first is its heading.
+Row = Sequence[str]
+
+
 class Head(NamedTuple):
     """Heading of one column, or of several whose own headings are ``under`` it."""
 
@@ -40,14 +45,31 @@ class Head(NamedTuple):
     under: tuple[str, ...] = ()
 
 
+class Group(NamedTuple):
+    """Rows of a table under a heading of their own, which may be empty."""
+
+    heading: str
+    rows: Sequence[Row]
+
+
 @dataclass(frozen=True)
 class Table:
-    """Table of the page; the first cell of each row is its heading."""
+    """Table of the page."""
 
     heading: str
     heads: Sequence[Head]
-    rows: Sequence[Sequence[str]]
+    groups: Sequence[Group]
     note: str
+
+    @property
+    def rows(self) -> list[Row]:
+        """Rows of all groups."""
+        return [row for group in self.groups for row in group.rows]
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return sum(len(head.under) or 1 for head in self.heads)
 
     @property
     def grouped(self) -> bool:
@@ -95,20 +117,25 @@ def figures_of(audit: Audit, command: str | None = None) -> dict[str, Any]:
 def report_page(audit: Audit, command: str | None = None, most_points: int = MOST_POINTS) -> bytes:
     """Render the page of an audit, UTF-8."""
     exhibits = [(fraction(trial.fraction), _exhibit(trial, audit)) for trial in audit.trials]
+    used = audit.attackers[0]
+    first, *further = sentences(audit)
     return render(
         "audit.html",
         f"Privacy audit of {audit.name}",
         exhibits,
         most_points,
+        attackers=[seen_by(attacker) for attacker in audit.attackers],
         audit=audit,
-        headline=headline(audit),
-        typical=typical(audit),
-        sparser=sparser(audit),
+        headline=first,
+        sentences=further,
+        used=used,
+        used_words=named(used),
+        unseen=[named([name]) for name in others(used)],
         tables=_tables(audit),
         charts=charts(audit),
         spacing=length(audit.spacing, audit.metric),
         seconds=_duration(audit.trials[0].seconds),
-        own_colors=audit.trials[0].rgb is not None,
+        own_colors=audit.trials[0].rgb is not None and "rgb" not in used,
         command=command,
         facts=_facts(audit),
     )
@@ -140,9 +167,10 @@ def _measured_table(audit: Audit) -> Table:
     note = " ".join(filter(None, (figure.note for figure in shown)))
     if not audit.calibrated:
         note += f" The confidence of the method {audit.method} ranks points and is no probability."
-    heads = [Head("Points published"), *_heads(shown), Head("Seconds")]
-    rows = [[*_row(trial, shown), f"{trial.seconds:.1f}"] for trial in audit.trials]
-    return Table("By fraction of the points", heads, rows, note)
+    heads = [*_heads(shown), Head("Seconds")]
+    rows = [[*_values(trial, shown), f"{trial.seconds:.1f}"] for trial in audit.trials]
+    by = "By fraction of the points" if len(audit.attackers) == 1 else "By fraction of the points, and by attacker"
+    return _by_trial(audit, by, heads, rows, note)
 
 
 def _metric_table(audit: Audit) -> Table:
@@ -150,10 +178,28 @@ def _metric_table(audit: Audit) -> Table:
     rows = []
     for trial in audit.trials:
         assert trial.scores is not None
-        share, *values = _row(trial, shown)
-        rows.append([share, length(trial.scores.median, True), *values])
-    heads = [Head("Points published"), Head("Median error"), *_heads(shown)]
-    return Table("In centimetres", heads, rows, "These lengths are right if the units of the map are metres.")
+        rows.append([length(trial.scores.median, True), *_values(trial, shown)])
+    heads = [Head("Median error"), *_heads(shown)]
+    return _by_trial(
+        audit, "In centimetres", heads, rows, "These lengths are right if the units of the map are metres."
+    )
+
+
+def _by_trial(audit: Audit, heading: str, heads: Sequence[Head], rows: Sequence[Row], note: str) -> Table:
+    """Table with a row per trial: named by its fraction; with several attackers, by the attacker in groups of a
+    fraction."""
+    named_rows = list(zip(audit.trials, rows, strict=True))
+    if len(audit.attackers) == 1:
+        groups = [Group("", [[fraction(trial.fraction), *row] for trial, row in named_rows])]
+        return Table(heading, [Head("Points published"), *heads], groups, note)
+    groups = [
+        Group(
+            f"{fraction(share)} of the points published" if audit.known else "",
+            [[seen_by(trial.used), *row] for trial, row in named_rows if trial.fraction == share],
+        )
+        for share in audit.fractions
+    ]
+    return Table(heading, [Head("Attacker sees"), *heads], groups, note)
 
 
 def _shown(audit: Audit) -> list[Figure]:
@@ -172,23 +218,28 @@ def _heads(shown: Sequence[Figure]) -> list[Head]:
     return heads
 
 
-def _row(trial: Trial, shown: Sequence[Figure]) -> list[str]:
+def _values(trial: Trial, shown: Sequence[Figure]) -> list[str]:
     assert trial.scores is not None
     values = [(figure.form, trial.scores.figures[figure.name]) for figure in shown]
-    return [fraction(trial.fraction), *("-" if value is None else _FORMS[form](value) for form, value in values)]
+    return ["-" if value is None else _FORMS[form](value) for form, value in values]
 
 
 def _predicted_table(audit: Audit) -> Table:
-    trial = audit.trials[0]
     heads = [Head("Lines"), Head("1 spacing, estimated")]
-    row = [count(len(trial)), length(audit.spacing, audit.metric)]
+    rows = [[count(len(trial)), length(audit.spacing, audit.metric)] for trial in audit.trials]
     note = "The spacing is that of the recovered points, which is usually a little below that of the map."
-    if trial.prediction is not None:
+    if audit.calibrated:
         heads += [Head("Expected within 1 spacing", ("all points", "confident half"))]
-        row += [percent(trial.prediction.within_spacing), percent(trial.prediction.confident_half)]
+        for row, trial in zip(rows, audit.trials, strict=True):
+            assert trial.prediction is not None
+            row += [percent(trial.prediction.within_spacing), percent(trial.prediction.confident_half)]
         note = f"The expected share is the mean confidence, also of the most confident half. {note}"
-    heading = "Not measured" if trial.prediction is None else "Predicted, not measured"
-    return Table(heading, [*heads, Head("Seconds")], [[*row, f"{trial.seconds:.1f}"]], note)
+    heading = "Predicted, not measured" if audit.calibrated else "Not measured"
+    heads.append(Head("Seconds"))
+    rows = [[*row, f"{trial.seconds:.1f}"] for row, trial in zip(rows, audit.trials, strict=True)]
+    if len(audit.attackers) > 1:
+        return _by_trial(audit, heading, heads, rows, note)
+    return Table(heading, heads, [Group("", rows)], note)
 
 
 def _facts(audit: Audit) -> list[tuple[str, str]]:
@@ -200,6 +251,8 @@ def _facts(audit: Audit) -> list[tuple[str, str]]:
     memory = "" if where["memory_gib"] is None else f", {where['memory_gib']:g} GiB"
     facts = [
         ("Given", f"{audit.name}: {count(audit.points)} {'points' if audit.known else 'lines'}"),
+        ("Published beside the lines", named(audit.published)),
+        ("Ignored on request", named(audit.ignored)),
         ("Method", audit.method),
         ("Checkpoint", weights),
         ("Seed of the line clouds", "" if audit.seed is None else str(audit.seed)),

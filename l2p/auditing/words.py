@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from l2p.auditing.attackers import Attacker, named
 from l2p.auditing.audit import Audit, Trial
 from l2p.show.page.numbers import count, fraction, length, percent
 
@@ -9,22 +10,29 @@ from l2p.show.page.numbers import count, fraction, length, percent
 _TELLING = 0.02
 
 
+def sentences(audit: Audit) -> list[str]:
+    """Return all sentences, the headline first."""
+    return [each for make in (headline, alone, savings, typical, sparser) if (each := make(audit))]
+
+
 def headline(audit: Audit) -> str:
-    """Share of the map recovered at the largest fraction, and whether the attacker knows which points are right."""
+    """Share of the map that the attacker who uses most recovers, at the largest fraction, and whether he knows which
+    points are right."""
     trial = audit.trials[0]
-    within, half = _figures(trial)
+    within, half = trial.within, trial.confident_half
     spacing = f"1 spacing ({length(audit.spacing, audit.metric)})"
+    knowing = f"With the {named(trial.used)} beside the lines, " if trial.used else ""
     if within is None:
-        return f"{count(len(trial))} points were recovered, but how many of them are right is not known."
+        return f"{knowing}{count(len(trial))} points were recovered, but how many of them are right is not known."
     of = "points"
     if audit.known and trial.fraction < 1:
         of = f"published points ({fraction(trial.fraction)} of the map)"
     if not audit.known and half is not None:
         return (
-            f"About {percent(within)} of the {of} are expected to be recovered within {spacing}; among the most "
-            f"confident half, {percent(half)}."
+            f"{knowing}{'about' if knowing else 'About'} {percent(within)} of the {of} are expected to be recovered "
+            f"within {spacing}; among the most confident half, {percent(half)}."
         )
-    recovered = f"{percent(within)} of the {of} are recovered within {spacing}"
+    recovered = f"{knowing}{percent(within)} of the {of} are recovered within {spacing}"
     return f"{recovered}." if half is None else f"{recovered}; {_knowledge(within, half)} of the time."
 
 
@@ -37,6 +45,57 @@ def _knowledge(within: float, half: float) -> str:
     return f"the attacker can hardly tell which: the most confident half is right only {percent(half)}"
 
 
+def alone(audit: Audit) -> str:
+    """Share recovered from the lines alone, at the largest fraction; empty if nobody uses more, or it is not known."""
+    bare = audit.of_attacker(())[0].within
+    saved = _saved(audit, audit.attackers[0])
+    if bare is None or saved is None:
+        return ""
+    if saved > 0:
+        return f"From the lines alone, {percent(bare)} would be {'recovered' if audit.known else 'expected'}."
+    if saved == 0:
+        return "From the lines alone, it would be about as many."
+    return (
+        f"From the lines alone, it would be more, {percent(bare)}: what is published beside them misleads this attack, "
+        "and an attacker can ignore it."
+    )
+
+
+def savings(audit: Audit) -> str:
+    """Points that leaving out each attribute, and both, would save at the largest fraction; empty if nobody uses any,
+    or it is not known."""
+    used = audit.attackers[0]
+    options: list[Attacker] = [(name,) for name in reversed(used)]
+    options += [used] if len(used) > 1 else []
+    found = [(each, _saved(audit, each)) for each in options]
+    return " ".join(_saving(audit, each, saved) for each, saved in found if saved is not None)
+
+
+def _saving(audit: Audit, attributes: Attacker, saved: int) -> str:
+    """What leaving out some attributes would save, in a sentence."""
+    about, recovers = ("", "recovers") if audit.known else ("about ", "expects")
+    if saved > 0:
+        effect = f"save {about}{saved} of 100 points"
+    elif saved == 0:
+        effect = "save hardly any point"
+    else:
+        effect = f"save nothing, as this attack {recovers} {-saved} of 100 points more without them"
+    what = "both" if len(attributes) > 1 else f"the {named(attributes)}"
+    price = "; cameras are then no longer localized by them" if attributes == ("descriptor",) else ""
+    return f"Leaving out {what} would {effect}{price}."
+
+
+def _saved(audit: Audit, attributes: Attacker) -> int | None:
+    """Points of 100 that come back less without some attributes; None without attributes or figures.
+
+    The difference of whole percents, as they are shown.
+    """
+    least, most = audit.without(attributes).within, audit.trials[0].within
+    if not attributes or least is None or most is None:
+        return None
+    return round(100 * most) - round(100 * least)
+
+
 def typical(audit: Audit) -> str:
     """Median error at the largest fraction of the map; empty unless the scene is metric and the truth known."""
     scores = audit.trials[0].scores
@@ -47,21 +106,16 @@ def typical(audit: Audit) -> str:
 
 def sparser(audit: Audit) -> str:
     """Share recovered at the smallest fraction of the map; empty if only one fraction was tried."""
-    if len(audit.trials) < 2:
+    if len(audit.fractions) < 2:
         return ""
-    trial = audit.trials[-1]
-    within, _ = _figures(trial)
-    assert within is not None
+    trial, bare = audit.strongest[-1], audit.trials[-1]
     return (
         f"If only {fraction(trial.fraction)} of the points are published ({count(len(trial))} lines), "
-        f"{percent(within)} of these are recovered within 1 spacing."
+        f"{_share(trial)} of these are recovered within 1 spacing"
+        f"{f', and {_share(bare)} from the lines alone' if trial.used else ''}."
     )
 
 
-def _figures(trial: Trial) -> tuple[float | None, float | None]:
-    """Share within 1 spacing among all points and the most confident half; measured if possible, else predicted."""
-    if trial.scores is not None:
-        return trial.scores.within_spacings["1"], trial.scores.confident_half
-    if trial.prediction is not None:
-        return trial.prediction.within_spacing, trial.prediction.confident_half
-    return None, None
+def _share(trial: Trial) -> str:
+    assert trial.within is not None
+    return percent(trial.within)

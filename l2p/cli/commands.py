@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from l2p.cli.flags import settings_of
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
@@ -24,9 +25,13 @@ from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth, truth_bytes
 from l2p.judging.accuracy import matched, spacing
 from l2p.judging.scores import evaluate as score
+from l2p.maps.scene import Scene
 from l2p.schemes.hide import hide
-from l2p.show.tables import descriptor_text, print_info, print_scores
+from l2p.show.tables import descriptor_text, print_info, print_scores, print_shares
 from l2p.work.progress import terminal_progress
+
+if TYPE_CHECKING:
+    from l2p.auditing.audit import Audit
 
 
 def lift(arguments: Namespace) -> None:
@@ -71,17 +76,20 @@ def audit(arguments: Namespace) -> None:
     """Run ``l2p audit``."""
     from l2p.auditing.audit import audit as examine
     from l2p.auditing.report import FILES, PAGE, figures_of, save_report
-    from l2p.auditing.words import headline, sparser, typical
+    from l2p.auditing.words import sentences
 
     _check_report(arguments, FILES)
     lines_given = kind_of(arguments.scene) in LINE_CLOUDS
-    scene = load_lines(arguments.scene) if lines_given else load_scene(arguments.scene)
+    if lines_given and arguments.descriptors is not None:
+        raise InputError("got --descriptors for a line cloud; expected none, since its file has all that is published")
+    scene = load_lines(arguments.scene) if lines_given else _described_scene(arguments.scene, arguments.descriptors)
     set_threads(arguments.threads)
     found = examine(
         scene,
         arguments.fractions,
         arguments.seed,
         method=arguments.method,
+        ignore=arguments.ignore,
         metric=arguments.metric,
         device=arguments.device,
         memory=arguments.memory,
@@ -100,13 +108,32 @@ def audit(arguments: Namespace) -> None:
         )
     if arguments.json != "-":
         if found.known:
-            columns = {f"{100 * trial.fraction:g} %": trial.scores for trial in found.trials if trial.scores}
-            print_scores(columns)
-        for sentence in filter(None, (headline(found), typical(found), sparser(found))):
+            _print_figures(found)
+        for sentence in sentences(found):
             print(sentence.replace("\N{NO-BREAK SPACE}", " "))
         print(f"The report is {Path(arguments.output) / PAGE}")
     if arguments.open:
         _open(Path(arguments.output) / PAGE)
+
+
+def _described_scene(path: str, descriptors: str | None) -> Scene:
+    """Read a scene and, unless ``descriptors`` is None, the descriptors of that file; empty: of the one beside it."""
+    if descriptors is None:
+        return load_scene(path)
+    return load_described(path, descriptors or None)[0]
+
+
+def _print_figures(audit: Audit) -> None:
+    """Print the figures of the attacker who uses most; with several, also the share that each recovers."""
+    from l2p.auditing.attackers import seen_by
+
+    print_scores({f"{100 * trial.fraction:g} %": trial.scores for trial in audit.strongest if trial.scores})
+    if len(audit.attackers) > 1:
+        shares = {
+            seen_by(attacker): [trial.within for trial in audit.of_attacker(attacker) if trial.within is not None]
+            for attacker in audit.attackers
+        }
+        print_shares(shares, [f"{100 * share:g} %" for share in audit.fractions])
 
 
 def view(arguments: Namespace) -> None:
@@ -161,7 +188,8 @@ def demo(arguments: Namespace) -> None:
 
 def _check_report(arguments: Namespace, files: Iterable[str]) -> None:
     """Refuse wrong arguments of an audit before the scene is read."""
-    inputs = [path for path in (arguments.scene, arguments.checkpoint) if path is not None]
+    given = (arguments.scene, arguments.checkpoint, arguments.descriptors or None)
+    inputs = [path for path in given if path is not None]
     check_outputs(inputs, [file_of(arguments.json)], arguments.force)
     check_folder(arguments.output, overwrite=arguments.force, replaceable=frozenset(files))
     report = Path(os.path.realpath(arguments.output))
@@ -178,6 +206,9 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
     words = ["l2p", "audit", arguments.scene, "-o", arguments.output]
     if arguments.fractions is not None:
         words += ["--fractions", *(f"{share:.15g}" for share in arguments.fractions)]
+    if arguments.descriptors is not None:
+        words += ["--descriptors", *([arguments.descriptors] if arguments.descriptors else [])]
+    words += ["--ignore", ",".join(arguments.ignore)] if arguments.ignore else []
     words += [] if lines_given else ["--seed", str(arguments.seed)]
     words += ["--method", arguments.method]
     flags = {**settings_of(arguments), **{name: getattr(arguments, name) for name in ("device", "threads", "memory")}}

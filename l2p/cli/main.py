@@ -12,6 +12,7 @@ from l2p.auditing import FRACTIONS
 from l2p.cli.flags import add_method
 from l2p.errors import InputError, LostProcessError, sentence
 from l2p.judging import CLEANING
+from l2p.maps import ATTRIBUTES
 from l2p.schemes.scheme import DEFAULT_SCHEME, SCHEMES
 from l2p.show.page import MOST_POINTS
 from l2p.version import __version__
@@ -132,6 +133,7 @@ def _add_recover(commands: Any) -> None:
         help="OUT.npz (every line, in order), OUT.ply (with confidence), or a folder for a COLMAP model",
     )
     add_method(recover)
+    _add_ignore(recover, "of the file")
     _add_filters(recover)
     recover.add_argument("--model", metavar="MODEL", help="for a COLMAP model: the model that was lifted")
     recover.add_argument(
@@ -208,6 +210,15 @@ def _add_audit(commands: Any) -> None:
         "--seed", type=_seed, default=0, metavar="S", help="seed of the line clouds (default: %(default)s)"
     )
     add_method(audit, leave_out=("fraction",))
+    audit.add_argument(
+        "--descriptors",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="descriptors that are published with a COLMAP model (default without FILE: those found beside the model); "
+        "an npz scene has its own",
+    )
+    _add_ignore(audit, "of the map")
     audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
     audit.add_argument(
         "--max-view-points",
@@ -259,6 +270,25 @@ def _seed(word: str) -> int:
     if not 0 <= value < 2**63:
         raise argparse.ArgumentTypeError(f"got {word}; expected 0 to 2^63 - 1")
     return value
+
+
+def _add_ignore(command: argparse.ArgumentParser, where: str) -> None:
+    command.add_argument(
+        "--ignore",
+        type=_attributes,
+        default=(),
+        metavar="NAMES",
+        help=f"attributes {where} to leave out, as if they were not published: some of {', '.join(ATTRIBUTES)}, comma "
+        "separated",
+    )
+
+
+def _attributes(words: str) -> tuple[str, ...]:
+    """Parse a comma-separated list of published attributes, in the order of ``ATTRIBUTES``."""
+    names = {word.strip() for word in words.split(",")}
+    if not names <= set(ATTRIBUTES):
+        raise argparse.ArgumentTypeError(f"got {words!r}; expected some of {', '.join(ATTRIBUTES)}, comma separated")
+    return tuple(name for name in ATTRIBUTES if name in names)
 
 
 def _add_device(command: argparse.ArgumentParser) -> None:

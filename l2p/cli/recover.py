@@ -155,8 +155,8 @@ def _attack(arguments: Namespace) -> Attack:
 
 
 def _recover_inputs(arguments: Namespace) -> tuple[LineCloud, Int[np.ndarray, " lines"] | None]:
-    """Read the lines and, for a COLMAP model, the point id behind each."""
-    lines = load_lines(arguments.lines)
+    """Read the lines, without ignored attributes, and, for a COLMAP model, the point id behind each."""
+    lines = load_lines(arguments.lines).without(arguments.ignore)
     if arguments.model is None:
         return lines, None
     truth = load_truth(arguments.truth)

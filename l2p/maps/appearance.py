@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from l2p.errors import InputError
+from l2p.maps import ATTRIBUTES as ATTRIBUTES
 
-#: Attributes that can be published beside the lines, in the order in which they are named to users.
-ATTRIBUTES = ("rgb", "descriptor")
 #: Kind of a descriptor whose source does not say it.
 UNKNOWN_KIND = "unknown"
 #: Kinds whose bytes are bits, compared by the Hamming distance.

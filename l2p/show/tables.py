@@ -46,6 +46,14 @@ def print_scores(columns: dict[str, Scores]) -> None:
     console().print(table)
 
 
+def print_shares(rows: dict[str, list[float]], columns: list[str]) -> None:
+    """Print the share of points within 1 spacing of each attacker (rows) at each fraction (columns) to stdout."""
+    table = Table("attacker sees", *columns, title="points within 1 spacing")
+    for attacker, shares in rows.items():
+        table.add_row(attacker, *(f"{share:.1%}" for share in shares))
+    console().print(table)
+
+
 def print_info(path: str | PathLike[str]) -> None:
     """Print a description of a file to stdout; for a checkpoint, also its results on the held-back clouds.
 

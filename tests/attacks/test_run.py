@@ -25,6 +25,7 @@ from l2p.judging.accuracy import errors, spacing
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.schemes.hide import hide
+from l2p.work.journal import Journal
 from l2p.work.work import ALONE, Work
 
 
@@ -321,3 +322,17 @@ def test_own_attacks_do_not_make_the_working_folder_importable(tmp_path, monkeyp
     monkeypatch.setattr(sys, "path", [place for place in sys.path if place])
     named_attack("tomography")
     assert str(tmp_path) not in sys.path, "a file there could stand in for a library that is loaded later"
+
+
+def test_a_run_to_resume_is_that_of_its_method_whatever_the_lines_publish(truth):
+    class Remembering(Journal):
+        def begin(self, about):
+            self.about = about
+
+    journals = []
+    for rgb in (None, np.zeros((len(truth), 3), np.uint8)):
+        journals.append(Remembering())
+        lines = l2p.lift(truth, seed=0, rgb=rgb)
+        run(lines, named_attack("tomography", rounds=0), work=Work(journal=journals[-1]), name="mine")
+    assert [journal.about["method"] for journal in journals] == ["mine", "mine"]
+    assert journals[0].about["lines"] != journals[1].about["lines"]

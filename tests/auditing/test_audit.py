@@ -84,11 +84,11 @@ def test_progress_counts_the_lines(scene):
         def task(self, name, total):
             done = self.tasks.setdefault(name, [])
             yield done.append
-            assert name != "lines attacked" or sum(done) == total
+            assert name != "lines of 2 attacks" or sum(done) == total
 
     progress = Counting()
     l2p.audit(scene, [1, 0.1], method="tomography", progress=progress)
-    assert progress.tasks["lines attacked"] == [50, 500]
+    assert progress.tasks["lines of 2 attacks"] == [50, 500]
     assert len(progress.tasks) > 1, "the attack shows its own progress"
 
 

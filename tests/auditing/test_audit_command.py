@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import shutil
 import socket
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from toy import SEES, telling_scene
 
 import l2p
 from l2p.auditing.audit import FRACTIONS
@@ -116,6 +118,69 @@ def test_a_line_cloud_is_audited_as_it_is(files, tmp_path, tiny_checkpoint, caps
     assert "attacked as it is" in capsys.readouterr().err
 
 
+SHARES = "points within 1 spacing"
+
+
+def test_attackers_are_compared_in_words_and_a_table(tmp_path, capsys):
+    scene = telling_scene()
+    np.savez(tmp_path / "scene.npz", xyz=scene.xyz, rgb=scene.rgb, descriptor=scene.descriptor, descriptor_kind="toy")
+    words = ("audit", tmp_path / "scene.npz", "--method", SEES, "--fractions", 1, 0.5, "-o")
+    assert run(*words, tmp_path / "all") == 0
+    told = capsys.readouterr().out
+    assert "From the lines alone" in told and "Leaving out both would save" in told
+    assert SHARES in told and told.count("lines + descriptors") == 1
+    assert run(*words, tmp_path / "some", "--ignore", "descriptor") == 0
+    told = capsys.readouterr().out
+    assert SHARES in told and "the descriptors" not in told
+    figures = json.loads((tmp_path / "some" / "audit.json").read_text())
+    assert [trial["used"] for trial in figures["trials"]] == [["rgb"], []] * 2
+    assert figures["ignored"] == ["descriptor"] and "--ignore descriptor --seed" in figures["command"]
+    assert run(*words, tmp_path / "none", "--ignore", "descriptor, rgb") == 0
+    told = capsys.readouterr().out
+    assert SHARES not in told and "alone" not in told
+    command = json.loads((tmp_path / "none" / "audit.json").read_text())["command"]
+    assert run(*shlex.split(command)[1:], "--force") == 0
+
+
+def test_descriptors_come_from_a_file_or_from_beside_the_model(files, tmp_path, monkeypatch, capsys):
+    model = tmp_path / "model"
+    shutil.copytree(files / "model", model)
+    ids = l2p.load(model, l2p.Scene).ids
+    np.savez(tmp_path / "own.npz", point3D_id=ids, descriptor=np.ones((len(ids), 3), np.float32))
+    words = ("audit", model, "--method", SEES, "--fractions", 1, "--force", "-o", tmp_path / "report")
+    assert run(*words, "--descriptors") == 2
+    assert "descriptors.npz does not exist" in capsys.readouterr().err
+    shutil.copy(tmp_path / "own.npz", model / "descriptors.npz")
+    for given, used in (((), ["rgb"]), (("--descriptors",), ["rgb", "descriptor"])):
+        assert run(*words, *given) == 0
+        figures = json.loads((tmp_path / "report" / "audit.json").read_text())
+        assert figures["trials"][0]["used"] == used and (" --descriptors " in figures["command"]) == bool(given)
+    assert run(*words, "--descriptors", tmp_path / "own.npz") == 0
+    figures = json.loads((tmp_path / "report" / "audit.json").read_text())
+    assert figures["trials"][0]["used"] == ["rgb", "descriptor"] and "own.npz" in figures["command"]
+    assert run("audit", files / "lines.npz", "-o", tmp_path / "no", "--descriptors", tmp_path / "own.npz") == 2
+    assert "got --descriptors for a line cloud" in capsys.readouterr().err and not (tmp_path / "no").exists()
+
+
+def test_recover_leaves_out_ignored_attributes(tmp_path, capsys):
+    l2p.save(l2p.lift(telling_scene(), seed=0, rgb=True, descriptor=True), tmp_path / "lines.npz")
+    words = ("recover", tmp_path / "lines.npz", "--method", SEES, "--json", "-", "-o")
+    points = []
+    for number, (ignore, used) in enumerate(
+        (("", ["rgb", "descriptor"]), ("rgb", ["descriptor"]), ("rgb,descriptor", []), ("descriptor", ["rgb"]))
+    ):
+        assert run(*words, tmp_path / f"{number}.npz", *(("--ignore", ignore) if ignore else ())) == 0
+        assert json.loads(capsys.readouterr().out)["used"] == used
+        points.append(l2p.load(tmp_path / f"{number}.npz", l2p.Recovery).xyz)
+    assert not any(np.array_equal(points[0], each) for each in points[1:])
+    l2p.save(l2p.lift(telling_scene(), seed=0), tmp_path / "bare.npz")
+    assert run("recover", tmp_path / "bare.npz", *words[2:], tmp_path / "bare-out.npz", "--ignore", "rgb") == 0
+    np.testing.assert_array_equal(l2p.load(tmp_path / "bare-out.npz", l2p.Recovery).xyz, points[2])
+    with pytest.raises(SystemExit):
+        run(*words, tmp_path / "x.npz", "--ignore", "rgb;descriptor")
+    assert "expected some of rgb, descriptor, comma separated" in capsys.readouterr().err
+
+
 def test_a_name_that_is_no_text_is_shown_as_far_as_it_can_be(files, tmp_path):
     path = os.fsdecode(os.fsencode(tmp_path) + b"/sc\xffne.npz")
     try:
@@ -137,6 +202,9 @@ def test_a_name_that_is_no_text_is_shown_as_far_as_it_can_be(files, tmp_path):
         (("--method", "tomography", "--checkpoint", "x"), "expected it with method 'learned' only"),
         (("--checkpoint", "absent.safetensors"), "absent.safetensors does not exist"),
         (("--json", "there/x.json"), "is in"),
+        (("--ignore", "colour"), "got 'colour'; expected some of rgb, descriptor, comma separated"),
+        (("--ignore", ""), "got ''; expected some of rgb, descriptor"),
+        (("--descriptors", "absent.npz"), "for a scene without point ids"),
     ],
 )
 def test_errors_are_one_sentence_and_leave_nothing(files, tmp_path, monkeypatch, capsys, words, sentence):

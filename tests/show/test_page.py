@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from toy import SEES, telling_scene
 
 import l2p
 from l2p.auditing.report import save_report
@@ -48,6 +49,14 @@ def found(tiny_checkpoint) -> l2p.Audit:
 def report(found, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("pages") / "report"
     l2p.save_report(found, folder, command=f"l2p audit '{HOSTILE}' -o report")
+    return folder / "index.html"
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory) -> Path:
+    """A report that compares attackers."""
+    folder = tmp_path_factory.mktemp("compared") / "report"
+    l2p.save_report(l2p.audit(telling_scene(1500), [1, 0.2], method=SEES, metric=True), folder)
     return folder / "index.html"
 
 
@@ -137,6 +146,49 @@ def test_the_share_that_is_published_can_be_chosen(opened):
     opened.choose("cloud", "1")
     assert opened.text().startswith("300 recovered points.")
     assert not same(before, opened.picture())
+
+
+def test_the_attacker_can_be_chosen(browser, compared):
+    shown = Opened(browser, compared)
+    pictures, told = [], []
+    for share in ("0", "1"):
+        shown.choose("cloud", share)
+        for attacker in "0123":
+            shown.choose("attacker", attacker)
+            pictures.append(shown.picture())
+            told.append(shown.text())
+    assert not any(same(a, b) for a, b in itertools.combinations(pictures, 2))
+    assert all(each.startswith("1,500 recovered") for each in told[:4])
+    assert all(each.startswith("300 recovered") for each in told[4:])
+    shown.choose("layer", "points")
+    assert shown.page.locator("#attackers input").first.is_disabled(), "true points are the same for all"
+    assert shown.drawn() > 300 and shown.text() == "300 points."
+    shown.choose("layer", "lines")
+    assert shown.drawn() > 300 and shown.text().startswith("300 lines.")
+    assert shown.wrong == []
+    shown.context.close()
+
+
+def test_one_attacker_is_no_choice(opened):
+    assert not opened.page.locator("#attackers").is_visible()
+
+
+@pytest.mark.parametrize("size", [WIDE, PHONE])
+def test_a_comparison_of_attackers_fits(browser, compared, size):
+    shown = Opened(browser, compared, size)
+    page = shown.page
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    right = "Math.max(...[...document.querySelectorAll('.controls *, p')].map(e => e.getBoundingClientRect().right))"
+    assert page.evaluate(right) <= size[0]
+    page.locator(".scroll").first.evaluate("e => e.scrollLeft = 150")
+    for place in ("tbody th[scope=row]", "tbody th[scope=rowgroup] span"):
+        assert 0 <= page.locator(place).first.bounding_box()["x"] < 40, place
+    page.set_viewport_size({"width": 703, "height": 1000})
+    page.emulate_media(media="print")
+    wider = "[...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth).length"
+    assert page.evaluate(wider) == 0, "nothing is cut off on paper"
+    assert shown.wrong == []
+    shown.context.close()
 
 
 def test_the_confidence_slider_hides_points_and_counts_the_rest(opened, found):

@@ -18,9 +18,18 @@ _SCRIPTS = ("theme.js", "viewer.js")
 
 
 def render(
-    template: str, title: str, exhibits: Sequence[tuple[str, Exhibit]], most_points: int = MOST_POINTS, **words: Any
+    template: str,
+    title: str,
+    exhibits: Sequence[tuple[str, Exhibit]],
+    most_points: int = MOST_POINTS,
+    attackers: Sequence[str] = ("",),
+    **words: Any,
 ) -> bytes:
-    """Render a page with an interactive view of the exhibits, UTF-8; ``words`` are variables of its template."""
+    """Render a page with an interactive view of the exhibits, UTF-8.
+
+    With several ``attackers``, each label has so many exhibits one after another, one per attacker; ``words`` are
+    variables of the template.
+    """
     environment = _environment()
     script = "".join(_source(name) for name in _SCRIPTS)
     page = environment.get_template(template).render(
@@ -29,7 +38,8 @@ def render(
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         view=view_data(exhibits, most_points),
-        clouds=[label for label, _ in exhibits],
+        clouds=[label for label, _ in exhibits[:: len(attackers)]],
+        attackers=attackers,
         thinned=_thinned(exhibits, most_points),
         **_choices(exhibits[0][1]),
         **words,

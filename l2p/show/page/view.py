@@ -33,7 +33,18 @@ def view_data(exhibits: Sequence[tuple[str, Exhibit]], most_points: int = MOST_P
     """
     stance = Stance.before(exhibits[0][1])
     clouds = [_cloud(label, exhibit, stance, most_points) for label, exhibit in exhibits]
-    return {"levels": LEVELS, "errorLimit": ERROR_LIMIT, "clouds": clouds}
+    return {"levels": LEVELS, "errorLimit": ERROR_LIMIT, "clouds": _stored_once(clouds)}
+
+
+def _stored_once(clouds: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Replace a layer that an earlier cloud has, too, by the number of that cloud: attackers share points and lines."""
+    first: dict[tuple[str, str], int] = {}
+    for number, cloud in enumerate(clouds):
+        for layer in ("points", "lines", "rgb"):
+            earlier = first.setdefault((layer, cloud[layer]), number) if cloud[layer] else number
+            if earlier < number:
+                cloud[layer] = earlier
+    return clouds
 
 
 def _cloud(label: str, exhibit: Exhibit, stance: Stance, most_points: int) -> dict[str, Any]:

@@ -12,15 +12,19 @@ const root = document.documentElement;
 
 const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 const floats = (text) => text && new Float32Array(bytes(text).buffer);
-const clouds = data.clouds.map((cloud) => ({
+const clouds = [];
+// A number in place of a layer: that of an earlier cloud.
+const shared = (cloud, name, read) => typeof cloud[name] === "number" ? clouds[cloud[name]][name] : read(cloud[name]);
+for (const cloud of data.clouds) clouds.push({
   ...cloud,
-  points: floats(cloud.points),
+  points: shared(cloud, "points", floats),
   recovered: floats(cloud.recovered),
-  lines: floats(cloud.lines),
-  rgb: cloud.rgb && bytes(cloud.rgb),
+  lines: shared(cloud, "lines", floats),
+  rgb: shared(cloud, "rgb", (text) => text && bytes(text)),
   level: cloud.level && bytes(cloud.level),
   error: cloud.error && bytes(cloud.error),
-}));
+});
+const attackers = document.querySelectorAll('input[name="attacker"]').length;
 
 // ---- state ----
 const START = { azimuth: -0.96, elevation: 0.5, distance: 2.6, target: [0, 0, 0] };
@@ -28,7 +32,7 @@ const NEAR = 0.02;
 let camera = structuredClone(START);
 const checked = (name) => document.querySelector(`input[name="${name}"]:checked`).value;
 const state = () => ({
-  cloud: clouds[checked("cloud")],
+  cloud: clouds[checked("cloud") * attackers + Number(checked("attacker"))],
   layer: checked("layer"),
   color: find("color").value,
   floor: Number(find("floor").value),
@@ -176,7 +180,7 @@ function say() {
   find("floor").max = top;
   const least = Math.min(floor, top);
   find("floor-value").textContent = cloud.calibrated ? percent(least, data.levels) : (least / 100).toFixed(2);
-  find("floor").disabled = find("color").disabled = layer !== "recovered";
+  find("floor").disabled = find("color").disabled = find("attackers").disabled = layer !== "recovered";
   find("size").disabled = layer === "lines";
   const thinned = cloud.shown < cloud.count ? ` The picture shows ${number(cloud.shown)} of all, drawn at random.` : "";
   let text = `${number(cloud.count)} points.`;
