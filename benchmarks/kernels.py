@@ -83,7 +83,7 @@ def round_ms(way: str, given: argparse.Namespace) -> float:
     alone, side_by_side = WAYS[way]
     attack = load(shipped())
     state = lifted(CloudSource(f"sim:{given.kind}:{given.lines}:0", 1.0, 0), attack).state()
-    candidates = attack.candidates(state.elements.lines, state.nodes)
+    candidates = attack.candidates(state)
     count = len(candidates)
 
     def judged(block: slice, room: int | None = None) -> torch.Tensor:

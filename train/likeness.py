@@ -23,6 +23,7 @@ from l2p.attacks.attack import attributes_of
 from l2p.attacks.learned.embedding import Embedding
 from l2p.attacks.learned.network import NetworkConfig
 from l2p.attacks.learned.teaching import contrast
+from l2p.errors import InputError
 from l2p.geometry.points import nearest_neighbors
 from l2p.io.atomic import atomic_file
 from l2p.maps.appearance import ATTRIBUTES
@@ -64,6 +65,11 @@ class EmbeddingSettings:
     learning_rate: float = 2e-3
     weight_decay: float = 0.3
     folds: int = 4
+
+    def __post_init__(self) -> None:
+        for name, least in (("steps", 0), ("batch", 2), ("folds", 0)):
+            if getattr(self, name) < least:
+                raise InputError(f"got embedding.{name} {getattr(self, name)}; expected at least {least}")
 
 
 @dataclass(frozen=True, eq=False)

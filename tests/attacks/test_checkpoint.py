@@ -19,11 +19,13 @@ from l2p.attacks.learned.learned import LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.run import run
 from l2p.errors import InputError
+from train import convert
 
 SIZE = NetworkConfig(width=8, layers=1, heads=2, finest=0.5)
 CONFIG = LearnedConfig(rounds=2, candidates=16)
 RADII = SIZE.radii
-CALIBRATION = [[(1.0 + radius, -0.1 * number) for radius in RADII] for number in range(2)]
+ROUNDS = [[(1.0 + radius, -0.1 * number) for radius in RADII] for number in range(2)]
+CALIBRATION = {"lines": ROUNDS}
 #: Outputs of the network per candidate: an affinity and three votes.
 JUDGED = 1 + 3
 
@@ -119,13 +121,14 @@ def test_a_foreign_file_is_refused(file: Path, metadata: dict[str, str] | None) 
     [
         (1, "train or download it again"),
         (2, "train or download it again"),
-        (3, "convert it: python -m train.convert"),
-        (5, "update l2p"),
+        (3, "train or download it again"),
+        (4, "convert it: python -m train.convert"),
+        (6, "update l2p"),
     ],
 )
 def test_another_format_is_refused(file: Path, format: int, mend: str) -> None:
     save_file(load_file(file), file, {**header(file), "l2p_format": str(format)})
-    with pytest.raises(InputError, match=f"has format {format}, this version of l2p reads format 4; {mend}"):
+    with pytest.raises(InputError, match=f"has format {format}, this version of l2p reads format 5; {mend}"):
         checkpoint.load(file)
 
 
@@ -143,6 +146,7 @@ def test_another_format_is_refused(file: Path, format: int, mend: str) -> None:
         ("learned", '{"rounds": 2, "candidates": 16}'),
         ("calibration", None),
         ("calibration", "[[1.0]]"),
+        ("calibration", '{"lines": [[1.0]]}'),
         ("inputs", None),
         ("inputs", "{}"),
         ("inputs", "[]"),
@@ -156,11 +160,42 @@ def test_a_damaged_header_is_refused(file: Path, key: str, value: str | None) ->
         checkpoint.load(file)
 
 
-@pytest.mark.parametrize("calibration", [[], CALIBRATION[:1], [CALIBRATION[0], CALIBRATION[1][:-1]]])
-def test_each_round_and_radius_has_a_calibration(file: Path, calibration: list) -> None:
-    save_file(load_file(file), file, {**header(file), "calibration": json.dumps(calibration)})
-    with pytest.raises(InputError, match="calibrations for 2 rounds; expected one a round and radius"):
+@pytest.mark.parametrize("rounds", [[], ROUNDS[:1], [ROUNDS[0], ROUNDS[1][:-1]]])
+def test_each_round_and_radius_has_a_calibration(file: Path, rounds: list) -> None:
+    save_file(load_file(file), file, {**header(file), "calibration": json.dumps({"lines": rounds})})
+    with pytest.raises(InputError, match="calibrations of lines for 2 rounds; expected one a round and radius"):
         checkpoint.load(file)
+
+
+@pytest.mark.parametrize("names", [[], ["rgb"], ["lines", "rgb"]])
+def test_each_knowledge_has_a_calibration(file: Path, names: list[str]) -> None:
+    calibration = json.dumps(dict.fromkeys(names, ROUNDS))
+    save_file(load_file(file), file, {**header(file), "calibration": calibration})
+    with pytest.raises(InputError, match=f"has calibrations of {', '.join(names)}; expected lines"):
+        checkpoint.load(file)
+
+
+def test_a_checkpoint_of_format_4_is_converted(file: Path, tmp_path: Path, scene_points: np.ndarray) -> None:
+    old, new, metadata = tmp_path / "old.safetensors", tmp_path / "new.safetensors", header(file)
+    for part, names in {
+        "network": ("kind", "length", "hidden", "embedding"),
+        "learned": ("alike", "liking", "teaching"),
+    }.items():
+        metadata[part] = json.dumps({k: v for k, v in json.loads(metadata[part]).items() if k not in names})
+    save_file(load_file(file), old, {**metadata, "l2p_format": "4", "calibration": json.dumps(ROUNDS)})
+    assert convert.main([str(old), str(new)]) == 0
+    assert header(new) == header(file)
+    lines = l2p.lift(scene_points[::10], seed=0)
+    one, other = (run(lines, checkpoint.load(path)) for path in (file, new))
+    np.testing.assert_array_equal(one.xyz, other.xyz)
+    np.testing.assert_array_equal(one.confidence, other.confidence)
+
+
+def test_what_cannot_be_converted_is_left_alone(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = file.read_bytes()
+    assert convert.main([str(file), str(file), "--force"]) == 2
+    assert "has format 5; expected 4" in capsys.readouterr().err
+    assert file.read_bytes() == before
 
 
 @pytest.mark.parametrize("constants", [{"least": "x"}, {"least": 1e-3, "other": 1}, {}])

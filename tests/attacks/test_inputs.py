@@ -320,10 +320,10 @@ def test_few_and_coinciding_estimates_have_finite_surroundings(scene: Scene, cou
 
 
 @dataclass(frozen=True)
-class Likeness:
+class Resemblance:
     """A toy: how like the colours of a pair are; a whole new input is this class and a row of INPUTS."""
 
-    columns: ClassVar = {"likeness": Kind.NUMBER, "color_distance": Kind.LENGTH}
+    columns: ClassVar = {"resemblance": Kind.NUMBER, "color_distance": Kind.LENGTH}
     votes: ClassVar = ()
     needs: ClassVar = ("rgb",)
     least: float = 0.5
@@ -335,41 +335,41 @@ class Likeness:
 
 
 @pytest.fixture
-def likeness(monkeypatch: pytest.MonkeyPatch) -> tuple[Inputs, ...]:
-    monkeypatch.setitem(INPUTS, "likeness", f"{__name__}:Likeness")
-    return inputs_of((*GEOMETRY, "likeness"))
+def resemblance(monkeypatch: pytest.MonkeyPatch) -> tuple[Inputs, ...]:
+    monkeypatch.setitem(INPUTS, "resemblance", f"{__name__}:Resemblance")
+    return inputs_of((*GEOMETRY, "resemblance"))
 
 
-def test_a_new_input_is_one_file_and_one_row(scene: Scene, likeness: tuple[Inputs, ...]) -> None:
+def test_a_new_input_is_one_file_and_one_row(scene: Scene, resemblance: tuple[Inputs, ...]) -> None:
     rgb = torch.rand(LINES, 3, generator=torch.Generator().manual_seed(5)).double()
-    names = feature_names(likeness)
-    seen = edges_of(scene.pairs(rgb=rgb), likeness)
+    names = feature_names(resemblance)
+    seen = edges_of(scene.pairs(rgb=rgb), resemblance)
     for row, i in enumerate(ROWS.tolist()):
         for column, j in enumerate(scene.candidates[i].tolist()):
             if j >= 0:
                 apart = float((rgb[i] - rgb[j]).norm())
                 found = dict(zip(names, seen.feature[row, column].tolist(), strict=True))
-                assert found["likeness"] == pytest.approx(1 / (0.5 + apart))
+                assert found["resemblance"] == pytest.approx(1 / (0.5 + apart))
                 assert found["color_distance"] == pytest.approx(math.log1p(apart))
                 assert found["has_rgb"] == 1
     old = [names.index(name) for name in EDGE]
     torch.testing.assert_close(seen.feature[..., old], scene.edges().feature)
 
 
-def test_an_absent_attribute_leaves_its_columns_0(scene: Scene, likeness: tuple[Inputs, ...]) -> None:
-    seen, names = edges_of(scene.pairs(), likeness), feature_names(likeness)
-    for name in ("likeness", "color_distance", "has_rgb"):
+def test_an_absent_attribute_leaves_its_columns_0(scene: Scene, resemblance: tuple[Inputs, ...]) -> None:
+    seen, names = edges_of(scene.pairs(), resemblance), feature_names(resemblance)
+    for name in ("resemblance", "color_distance", "has_rgb"):
         assert (seen.feature[..., names.index(name)] == 0).all()
     assert_close(scene.edges(), seen._replace(feature=seen.feature[..., [names.index(name) for name in EDGE]]))
 
 
 def test_a_network_with_a_new_input_attacks_and_is_saved_with_its_constants(
-    scene_points: np.ndarray, likeness: tuple[Inputs, ...], tmp_path: Path
+    scene_points: np.ndarray, resemblance: tuple[Inputs, ...], tmp_path: Path
 ) -> None:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        network = LineTransformer(NetworkConfig(width=8, heads=2, inputs=(*GEOMETRY, "likeness")))
-    inputs: tuple[Any, ...] = (*inputs_of(GEOMETRY), Likeness(least=0.25))
+        network = LineTransformer(NetworkConfig(width=8, heads=2, inputs=(*GEOMETRY, "resemblance")))
+    inputs: tuple[Any, ...] = (*inputs_of(GEOMETRY), Resemblance(least=0.25))
     config, calibration = LearnedConfig(rounds=2), [[(1.0, 0.0)] * 5] * 2
     checkpoint.save(tmp_path / "like.safetensors", Checkpoint(network, config, calibration, {}, inputs))
     attack = checkpoint.load(tmp_path / "like.safetensors")

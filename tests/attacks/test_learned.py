@@ -204,7 +204,7 @@ def test_votes_settle_from_kuipers_peak_on() -> None:
 
 
 def test_calibration_of_the_last_round_makes_the_confidence(lines: LineCloud, first: Recovery) -> None:
-    known = [[(9.0, 9.0)] * len(RADII), [(2.0, -1.0)] * len(RADII)]
+    known = {"lines": [[(9.0, 9.0)] * len(RADII), [(2.0, -1.0)] * len(RADII)]}
     recovery = run(lines, attack(calibration=known))
     sure = np.log(first.confidence / (1 - first.confidence))
     np.testing.assert_allclose(recovery.confidence, 1 / (1 + np.exp(1 - 2 * sure)), atol=1e-4)
@@ -221,10 +221,10 @@ def test_each_radius_has_a_calibration_of_its_own() -> None:
     """The confidence is that of radius 1; what is within a smaller radius is within it, too."""
     sure = torch.randn(300, len(RADII), generator=torch.Generator().manual_seed(0)).cumsum(dim=1)
     pairs = [(1.0, 0.5), (2.0, 0.0), (0.5, -2.0), (1.5, -0.3), (1.0, 9.0)]
-    method = attack(calibration=[[(7.0, 7.0)] * len(RADII), pairs])
+    method = attack(calibration={"lines": [[(7.0, 7.0)] * len(RADII), pairs]})
     upto = [a * sure[:, place] + b for place, (a, b) in enumerate(pairs)][: RADII.index(1.0) + 1]
     expected = torch.sigmoid(torch.stack(upto, dim=1).amax(dim=1))
-    torch.testing.assert_close(method.confidence(found(sure)), expected)
+    torch.testing.assert_close(method.confidence(found(sure), "lines"), expected)
 
 
 @pytest.mark.parametrize("relaxation", [-1.0, 0.0, 2.0, math.nan])
@@ -234,8 +234,8 @@ def test_relaxations_that_do_not_settle_are_refused(relaxation: float) -> None:
 
 
 def test_more_rounds_than_calibrations_are_refused() -> None:
-    with pytest.raises(InputError, match="got 1 calibrations for 2 rounds"):
-        attack(rounds=2, calibration=[[(1.0, 0.0)] * len(RADII)])
+    with pytest.raises(InputError, match="got 1 calibrations of lines for 2 rounds"):
+        attack(rounds=2, calibration={"lines": [[(1.0, 0.0)] * len(RADII)]})
 
 
 @pytest.mark.parametrize("values", [{"rounds": -1}, {"candidates": 0}, {"settling": -1}])

@@ -41,6 +41,7 @@ def edges() -> Edges:
         feature=torch.randn(LINES, K, len(EDGE), generator=draw),
         state=torch.randn(LINES, K, STATE, generator=draw),
         side=torch.tensor([1.0, -1.0]).repeat(LINES)[:LINES, None].expand(LINES, K),
+        likeness=2 * torch.randn(LINES, K, generator=draw),
         valid=valid,
     )
 
@@ -102,6 +103,41 @@ def test_kernels_densities_and_shifts_are_those_of_the_formula(network: LineTran
             torch.testing.assert_close(around[i, there, 4 * head : 4 * head + 3], expected, atol=1e-5, rtol=1e-4)
             turned = edges.side[i, there] * shifted
             torch.testing.assert_close(around[i, there, 4 * head + 3], turned, atol=1e-5, rtol=1e-4)
+
+
+def test_surroundings_by_likeness_are_those_of_the_formula(edges: Edges) -> None:
+    network = LineTransformer(NetworkConfig(width=12, heads=3, inputs=(*GEOMETRY, "likeness"))).requires_grad_(False)
+    network.power.fill_(0.7)
+    _, around = network._kernels(edges)
+    _, plain = LineTransformer(NetworkConfig(width=12, heads=3))._kernels(edges)
+    assert torch.equal(around.unflatten(2, (3, 7))[..., :4], plain.unflatten(2, (3, 4)))
+    for i in (line for line in range(LINES) if line != EMPTY):
+        there = [k for k in range(K) if edges.valid[i, k]]
+        t, w, g, c = (part[i].tolist() for part in (edges.foot, edges.scale, edges.point_line, edges.confidence))
+        like = (0.7 * edges.likeness[i]).exp().tolist()
+        for head, scale in enumerate(network.config.scales):
+            level, mean, shift = [], [], []
+            for j in there:
+                near = {k: c[k] * (1 + ((t[j] - t[k]) ** 2 + g[k] ** 2) / (scale * w[k]) ** 2) ** -2 for k in there}
+                sure = sum(value / w[k] ** 3 for k, value in near.items())
+                alike = sum(like[k] * value / w[k] ** 3 for k, value in near.items())
+                level.append(math.log(alike))
+                # The densities are relative to the densest candidate's weight, which the ratio does not feel.
+                mean.append(0.3 * math.log(alike / sure))
+                middle = sum(t[k] * like[k] * value / w[k] ** 3 for k, value in near.items()) / alike
+                shift.append(float(edges.side[i, j]) * max(-3.0, min(3.0, (middle - t[j]) / w[j])))
+            level = [0.3 * max(value - max(level), -15) for value in level]
+            expected = torch.tensor([level, mean, shift]).T
+            torch.testing.assert_close(around[i, there, 7 * head + 4 : 7 * head + 7], expected, atol=1e-4, rtol=1e-4)
+
+
+def test_without_appearance_its_inputs_say_nothing_new(edges: Edges) -> None:
+    network = LineTransformer(NetworkConfig(width=12, heads=3, inputs=(*GEOMETRY, "likeness"))).requires_grad_(False)
+    _, around = network._kernels(edges._replace(likeness=torch.zeros(LINES, K)))
+    _, confident, _, shift, level, mean, alike = around.unflatten(2, (3, 7)).unbind(dim=3)
+    torch.testing.assert_close(level, confident)
+    torch.testing.assert_close(alike, shift)
+    assert mean.abs().max() < 1e-6
 
 
 def test_heads_are_spread_geometrically() -> None:

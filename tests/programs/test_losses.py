@@ -39,6 +39,7 @@ def one_line(
         feature=torch.zeros(1, k, len(EDGE)),
         state=torch.zeros(1, k, STATE),
         side=torch.ones(1, k),
+        likeness=torch.zeros(1, k),
         valid=torch.ones(1, k, dtype=torch.bool),
     )
     judgement = Judgement(
@@ -110,8 +111,7 @@ def test_gradients_reach_every_weight() -> None:
     network, probe = LineTransformer(NetworkConfig(width=8, layers=2, heads=2)), torch.nn.Linear(STATE, 1)
     attack = Learned(network, LearnedConfig(candidates=12))
     cloud = lifted(CloudSource("sim:room:150:0", 1.0, 0), attack)
-    nodes = cloud.first_nodes
-    sample = cloud.sample(attack, nodes, attack.candidates(cloud.elements.lines, nodes), torch.arange(40))
+    sample = cloud.sample(attack, cloud.state(), attack.candidates(cloud.state()), torch.arange(40))
     judgement = network(sample.edges)
     found = losses(sample, judgement, probe(judgement.state).squeeze(1), LearnedConfig(), RADII)
     found.total.backward()

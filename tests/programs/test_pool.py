@@ -31,6 +31,10 @@ from train.train_config import DataSettings
 DATA = DataSettings(
     seed=0,
     scenes=[],
+    maps=[],
+    map_turns=1,
+    absent=0.35,
+    val_maps=[],
     simulated=3,
     simulated_points=[120, 200],
     val=["sim:room:150:1"],
@@ -62,7 +66,7 @@ def attack(network: LineTransformer) -> Learned:
 def lines_of(sources: Sources, number: int) -> tuple[int, int]:
     """Lines of a source, and points of its scene."""
     source = sources[number]
-    points = dict(sources.scenes)[source.scene]
+    points = {scene.source: scene.points for scene in sources.scenes}[source.scene]
     return max(1, round(points * source.fraction)), points
 
 
@@ -80,7 +84,7 @@ def test_sources_are_endless_and_the_same_each_time(sources: Sources) -> None:
 
 def test_scenes_come_in_turns_in_another_order_each_time(sources: Sources) -> None:
     turns = [[sources[3 * turn + place].scene for place in range(3)] for turn in range(8)]
-    assert all(sorted(turn) == sorted(scene for scene, _ in sources.scenes) for turn in turns)
+    assert all(sorted(turn) == sorted(scene.source for scene in sources.scenes) for turn in turns)
     assert len({tuple(turn) for turn in turns}) > 1
 
 
@@ -149,8 +153,8 @@ def test_the_truth_of_a_cloud_is_that_of_its_scene(attack: Learned) -> None:
 def test_samples_count_from_the_estimates_and_label_true_neighbours(attack: Learned) -> None:
     cloud = lifted(CloudSource("sim:room:200:0", 1.0, 3), attack)
     nodes, rows = cloud.first_nodes, torch.tensor([5, 90, 150])
-    candidates = attack.candidates(cloud.elements.lines, nodes)
-    sample = cloud.sample(attack, nodes, candidates, rows)
+    candidates = attack.candidates(cloud.state())
+    sample = cloud.sample(attack, cloud.state(), candidates, rows)
     torch.testing.assert_close(sample.true_beta + nodes.beta[rows], cloud.true_beta[rows])
     assert (sample.spacing == torch.tensor(cloud.spacing)).all()
     for row, i in enumerate(rows.tolist()):
@@ -206,11 +210,12 @@ def test_the_state_before_a_round_is_what_the_round_before_found(
         assert after.cloud is cloud
         state = cloud.state(before.nodes)
         found = attack.judge(state)
-        nodes = attack.next(state, found).nodes
+        state = attack.next(state, found)
+        nodes = state.nodes
         for name, left, right in zip(nodes._fields, nodes, after.nodes, strict=True):
             torch.testing.assert_close(left, right, atol=1e-5, rtol=1e-5, msg=lambda text, name=name: f"{name}: {text}")
         torch.testing.assert_close(found.found, before.found, atol=1e-5, rtol=1e-5)
-        assert torch.equal(attack.candidates(cloud.elements.lines, nodes), after.candidates)
+        assert torch.equal(attack.candidates(state), after.candidates)
         assert not torch.equal(before.nodes.beta, after.nodes.beta)
     fresh = rounds[2][2]
     torch.testing.assert_close(fresh.nodes, fresh.cloud.first_nodes)
