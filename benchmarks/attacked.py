@@ -42,9 +42,15 @@ def read(job: dict[str, Any], clock: Clock) -> l2p.LineCloud:
     """Read the lines from plain arrays, which work with every checkout; for seconds by part, from a file of l2p."""
     if job["parts"]:
         with clock.task("read and write", total=0):
-            return l2p.load(job["path"] + ".npz", l2p.LineCloud)
+            lines = l2p.load(job["path"] + ".npz", l2p.LineCloud)
+        return lines.without({"rgb", "descriptor"} - set(job["sees"])) if hasattr(lines, "without") else lines
     with np.load(job["path"] + ".arrays.npz") as arrays:
-        return l2p.LineCloud(arrays["direction"], arrays["moment"])
+        # Older checkouts take no descriptors.
+        names = [*job["sees"], *(["descriptor_kind"] if "descriptor" in job["sees"] else [])]
+        seen = {name: arrays[name] for name in names}
+        if "descriptor_kind" in seen:
+            seen["descriptor_kind"] = str(seen["descriptor_kind"])
+        return l2p.LineCloud(arrays["direction"], arrays["moment"], **seen)
 
 
 def attack(lines: l2p.LineCloud, job: dict[str, Any], clock: Clock) -> l2p.Recovery:

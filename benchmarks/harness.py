@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,6 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 import l2p
+from l2p.io.descriptors import file_beside, load_described
 from l2p.work.resident import measured_peak, resident_gib
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -51,7 +52,10 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Setting:
-    """Setting of an attack: arguments of ``l2p.recover``, threads (0: torch's choice), whether by part, checkout."""
+    """Setting of an attack: arguments of ``l2p.recover``, threads (0: torch's choice), whether by part, checkout.
+
+    ``method`` may name attributes that the attack sees beside the lines, as in learned+rgb+descriptor.
+    """
 
     method: str
     rounds: int | None = None
@@ -59,6 +63,11 @@ class Setting:
     threads: int = 0
     parts: bool = False
     checkout: Path = ROOT
+
+    @property
+    def sees(self) -> list[str]:
+        """Attributes that the attack sees."""
+        return self.method.split("+")[1:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,26 +92,43 @@ class Taken:
     run: Run = field(init=False)
 
 
-def hidden(xyz: Float[np.ndarray, "points 3"]) -> tuple[l2p.LineCloud, Float[np.ndarray, "lines 3"]]:
-    """Lift points, with a fixed seed; return the line cloud, and the point behind each line."""
-    hiding = l2p.hide(xyz, seed=0)
+def hidden(scene: l2p.Scene) -> tuple[l2p.LineCloud, Float[np.ndarray, "lines 3"]]:
+    """Lift points, with a fixed seed; return the line cloud with all attributes, and the point behind each line."""
+    hiding = l2p.hide(scene, seed=0, rgb=scene.rgb is not None, descriptor=scene.descriptor is not None)
     return hiding.map, hiding.truth.xyz
 
 
 def simulated(kind: str, count: int, folder: Path) -> Cloud:
-    """Lift a simulated scene of ``count`` points."""
-    return _saved(f"{kind}-{count}", folder, *hidden(l2p.simulate(kind, points=count, seed=0).xyz))
+    """Lift a simulated scene of ``count`` points, with random bytes as descriptors: good for seconds, not errors."""
+    scene = l2p.simulate(kind, points=count, seed=0)
+    descriptor = np.random.default_rng(0).integers(0, 120, (count, 128), dtype=np.uint8)
+    described = replace(scene, descriptor=descriptor, descriptor_kind="sift")
+    return _saved(f"{kind}-{count}", folder, *hidden(described))
 
 
 def from_file(path: str, folder: Path) -> Cloud:
     """Read a line cloud from a file, or lift the scene in it."""
     thing = l2p.load(path)
-    return _saved(Path(path).stem, folder, *((thing, None) if isinstance(thing, l2p.LineCloud) else hidden(thing.xyz)))
+    return _saved(
+        Path(path).stem,
+        folder,
+        *((thing, None) if isinstance(thing, l2p.LineCloud) else hidden(_described(path, thing))),
+    )
+
+
+def _described(path: str, scene: l2p.Scene) -> l2p.Scene:
+    """Add the descriptors beside a COLMAP model, if there are any."""
+    if not Path(path).is_dir() or file_beside(path) is None:
+        return scene
+    return load_described(path)[0]
 
 
 def _saved(name: str, folder: Path, lines: l2p.LineCloud, truth: np.ndarray | None) -> Cloud:
     cloud = Cloud(folder / name, lines, truth)
-    np.savez(f"{cloud.path}.arrays.npz", direction=lines.direction, moment=lines.moment)
+    arrays = {"direction": lines.direction, "moment": lines.moment}
+    arrays |= {each: getattr(lines, each) for each in lines.appearance.names}
+    kind = {} if lines.descriptor_kind is None else {"descriptor_kind": np.array(lines.descriptor_kind)}
+    np.savez(f"{cloud.path}.arrays.npz", **arrays, **kind)
     l2p.save(lines, f"{cloud.path}.npz")
     return cloud
 
@@ -111,10 +137,11 @@ class Attacker:
     """Child process that attacks a cloud at each call of ``attack``, until the ``with`` block ends."""
 
     def __init__(self, cloud: Cloud, setting: Setting) -> None:
-        words = {"method": setting.method, "rounds": setting.rounds, "memory": setting.memory}
+        words = {"method": setting.method.split("+")[0], "rounds": setting.rounds, "memory": setting.memory}
         words = {name: value for name, value in words.items() if value is not None}
         self.path, self.checkout = cloud.path, setting.checkout
         self.job = {"words": words, "threads": setting.threads, "parts": setting.parts, "path": str(cloud.path)}
+        self.job["sees"] = setting.sees
 
     def __enter__(self) -> Attacker:
         environment = {"OMP_WAIT_POLICY": "PASSIVE", **os.environ, "PYTHONPATH": str(self.checkout)}

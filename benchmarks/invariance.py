@@ -86,7 +86,7 @@ def arguments() -> argparse.Namespace:
 def rows(name: str, method: str) -> Iterator[list[str]]:
     """Yield a row for each change of a scene."""
     scene = l2p.load(name, l2p.Scene)
-    lines, truth = hidden(scene.xyz)
+    lines, truth = hidden(l2p.Scene(scene.xyz))
     unit, first = spacing(scene.xyz), l2p.recover(lines, method=method, progress=terminal_progress())
     sure = first.confidence >= np.median(first.confidence)
     error = errors(first.xyz, truth) / unit

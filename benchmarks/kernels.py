@@ -54,7 +54,7 @@ def best(work: Callable[[], object], repeat: int) -> float:
 
 def last_update(kind: str, lines: int) -> mock.Mock:
     """Return a mock whose last call is the last EM update of a reconstruction, at the finest level."""
-    cloud, _ = hidden(l2p.simulate(kind, points=lines, seed=0).xyz)
+    cloud, _ = hidden(l2p.Scene(l2p.simulate(kind, points=lines, seed=0).xyz))
     with mock.patch.object(tomography, "_update", wraps=tomography._update) as update:
         tomography.reconstruct(Frame.of(cloud).enter(cloud))
     return update

@@ -4,12 +4,14 @@
     python benchmarks/recover.py --lines 20000 200000 --memory least --threads 1
     python benchmarks/recover.py --lines 5000 200000 --methods learned --parts
     python benchmarks/recover.py --lines 20000 --repeat 5 --again 4 --against ../before
+    python benchmarks/recover.py --lines 20000 --methods learned learned+rgb+descriptor --threads 1 --again 3
 
 The first prints, for each method, seconds, growth with the lines, the ratio to the first method and the errors:
 docs/performance.md has learned against tomography. The second limits the memory (GiB, ``least``: the least that the
 method accepts, ``fast``: no limit); ``held`` is bytes per line beyond the constant part of that least, and the exit
 code is 1 if a peak is above the limit. The third splits the seconds from the start of the process to the written file;
-``surroundings`` is the part without a progress bar: local scales and planes of the estimates, the frame.
+``surroundings`` is the part without a progress bar: local scales and planes of the estimates, the frame. In the last,
+a method followed by attributes also sees these.
 
 The fourth alternates the l2p of another folder with this one and prints ratios, this / other: below 1, this one is
 faster or smaller. In brackets is an interval for the median of the pairs' ratios. On a busy machine, the ratios of CPU
@@ -36,6 +38,8 @@ from l2p.work.memory import BASE, GIB, SMALLEST
 
 #: Memory limit in GiB that no attack here reaches: blocks have their fastest size.
 UNBOUNDED = 1e3
+#: Methods, also with what they see beside the lines.
+SEEING = (*METHODS, *(f"learned{seen}" for seen in ("+rgb", "+descriptor", "+rgb+descriptor")))
 #: Attacks per process after its first one, when checkouts are compared.
 AGAIN = 4
 HEADS = (
@@ -50,7 +54,7 @@ HEADS_AGAINST = (
 
 def promised(method: str, rounds: int | None, lines: int) -> float:
     """Least GiB that a method needs by its own estimate for the number of lines; NaN if it has none."""
-    line_bytes = named_attack(method, rounds=rounds).line_bytes or float("nan")
+    line_bytes = named_attack(method.split("+")[0], rounds=rounds).line_bytes or float("nan")
     return (BASE + SMALLEST + lines * line_bytes) / GIB
 
 
@@ -158,7 +162,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--lines", type=int, nargs="+", default=[5_000, 20_000], help="(default: %(default)s)")
     parser.add_argument("--kind", default="room", help="kind of simulated scene (default: %(default)s)")
     parser.add_argument("--file", metavar="PATH", help="a line cloud, or a scene, in place of simulated ones")
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=["tomography", "learned"], metavar="METHOD")
+    parser.add_argument("--methods", nargs="+", choices=SEEING, default=["tomography", "learned"], metavar="METHOD")
     parser.add_argument("--rounds", type=int, help="rounds of refinement (default: the method's own)")
     parser.add_argument(
         "--memory", nargs="+", default=[None], metavar="GIB", help="GiB, least, fast (default: l2p's own)"

@@ -39,7 +39,7 @@ Found = TypeVar("Found")
 def estimates(kind: str, count: int, strays: float) -> tuple[Lines, torch.Tensor, torch.Tensor]:
     """Simulate lines of a scene, an estimate on each, and the units of distances to the estimates."""
     rng = np.random.default_rng(0)
-    cloud, truth = hidden(l2p.simulate(kind, points=count, seed=0).xyz)
+    cloud, truth = hidden(l2p.Scene(l2p.simulate(kind, points=count, seed=0).xyz))
     frame = Frame.of(cloud)
     lines = frame.enter(cloud, torch.device("cpu"))
     true_beta = torch.linalg.vecdot(frame.enter_points(truth, torch.device("cpu")), lines.direction)
