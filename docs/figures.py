@@ -1,4 +1,5 @@
-"""Draw the pictures of docs/how-it-works.md from one simulated room: python docs/figures.py
+"""Draw the pictures of docs/how-it-works.md from one simulated room, and one from a real map:
+python docs/figures.py
 
 To draw some pictures only, give their names: python docs/figures.py affinities rounds
 """
@@ -21,7 +22,12 @@ from jaxtyping import Float, Int
 from matplotlib.collections import LineCollection
 
 import l2p
+from l2p.attacks.attack import Elements
 from l2p.attacks.heuristic import Heuristic
+from l2p.attacks.learned.embedding import embedded
+from l2p.attacks.learned.learned import Learned
+from l2p.attacks.learned.teaching import taught
+from l2p.attacks.named import named_attack
 from l2p.attacks.peak import PeakConfig, find_peak
 from l2p.attacks.run import run
 from l2p.attacks.tomographic import Tomography
@@ -30,6 +36,7 @@ from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.geometry.nearest import nearest_lines_to_lines, nearest_lines_to_points, nearest_points_to_lines
 from l2p.geometry.pairs import closest_points
+from l2p.io.descriptors import load_described
 from l2p.judging.accuracy import SPACING_NEIGHBOR, errors, spacing
 from l2p.judging.calibration import risk_coverage
 from l2p.judging.references import CandidateOracle, LeaveOneOut, Oracle
@@ -37,6 +44,8 @@ from l2p.show.colors import ERROR_LIMIT
 from l2p.show.pictures import Box
 
 IMAGES = Path(__file__).parent / "images"
+#: Map with descriptors, for the picture of likeness.
+DESCRIBED = Path(__file__).parents[2] / "shared" / "maps" / "val" / "strecha_castle_p30"
 POINTS, SEED = 5000, 3
 #: Neighbours of the paper's coarse stage, indoors.
 K = 250
@@ -312,6 +321,74 @@ def draw_affinities(room: Room) -> None:
     save(figure, "affinities")
 
 
+def draw_likeness(_: Room) -> None:
+    """Draw one line of a real map that lies in the wrong crowd without colours and descriptors, in the right one with
+    them; the simulator has no descriptors."""
+    if not DESCRIBED.is_dir():
+        print(f"likeness: {DESCRIBED} is missing, so the picture stays as it is")
+        return
+    scene, _file = load_described(DESCRIBED)
+    hidden = l2p.hide(scene, seed=SEED, rgb=True, descriptor=True)
+    lines, truth, unit = hidden.map, hidden.truth.xyz, spacing(scene.xyz)
+    alone, seen = l2p.recover(lines.without(["rgb", "descriptor"])), l2p.recover(lines)
+    assert alone.affinity is not None and alone.neighbors is not None
+    index = np.maximum(alone.neighbors, 0)
+    apart = alone.xyz[index] - lines.origin[:, None]
+    foot = np.einsum("nkd,nd->nk", apart, lines.direction) / unit
+    across = np.linalg.norm(apart / unit - foot[..., None] * lines.direction[:, None], axis=2)
+    true, wrong, right = (
+        np.sum((points - lines.origin) * lines.direction, axis=1) / unit for points in (truth, alone.xyz, seen.xyz)
+    )
+    weight = np.where(alone.neighbors < 0, 0, alone.affinity)
+    here = (weight * (np.abs(foot - true[:, None]) <= 1)).sum(axis=1) / weight.sum(axis=1)
+    off = np.abs(wrong - true)
+    corrected = np.flatnonzero((off > 4) & (off < 12) & (np.abs(right - true) < 0.25) & (seen.confidence > 0.9))
+    # Two crowds: that at the true place has nearly half of the affinity.
+    row = int(corrected[np.argmin(np.abs(here[corrected] - 0.35))])
+    like = likeness(lines, seen, row, index[row])
+    figure, (left, below) = plt.subplots(1, 2, figsize=(13, 4.2), constrained_layout=True)
+    nearest = np.argsort(np.linalg.norm(truth - truth[row], axis=1))[1 : TRUE + 1]
+    own = np.isin(index[row], nearest)
+    left.scatter(foot[row][own], across[row][own], s=110, facecolors="none", edgecolors=GREEN, label="a true neighbour")
+    bound = np.abs(like).max()
+    shown = left.scatter(foot[row], across[row], s=36, c=like, cmap="coolwarm", vmin=-bound, vmax=bound)
+    figure.colorbar(shown, ax=left, label="likeness s", pad=0.01)
+    left.set(title="two crowds beside one line, and their likeness to it", ylabel="distance from the line, spacings")
+    reach = (min(true[row], wrong[row]) - 5, max(true[row], wrong[row]) + 5)
+    bins = np.arange(reach[0], reach[1], 0.5)
+    share = weight[row] / weight[row].sum()
+    below.hist(foot[row], bins, weights=share, color=GREY, label="by geometry")
+    both = share * np.exp(like)
+    below.hist(
+        foot[row], bins, weights=both / both.sum(), histtype="step", lw=2, color=BLUE, label="times exp(likeness)"
+    )
+    below.set(title="where the candidates vote", ylabel="share of the votes in half a spacing")
+    for panel in (left, below):
+        panel.axvline(wrong[row], color=ORANGE, ls="--", label="answer from lines alone")
+        panel.axvline(right[row], color=RED, ls="--", label="answer with colours and descriptors")
+        panel.axvline(true[row], color=GREEN, lw=1.5, ls=":", label="true point")
+        panel.set(xlabel="position along the line, spacings", xlim=reach)
+        panel.legend(fontsize=8)
+    save(figure, "likeness")
+
+
+def likeness(lines: l2p.LineCloud, found: l2p.Recovery, row: int, others: np.ndarray) -> Float[np.ndarray, " k"]:
+    """Likeness of a line with some others, as the map taught it after the last round."""
+    attack = named_attack("learned")
+    assert isinstance(attack, Learned)
+    frame = Frame.of(lines)
+    elements = Elements.sorted(frame.enter(lines), frame, lines.appearance)
+    elements, embedding = attack.seen(elements)
+    assert embedding is not None
+    place = elements.row.argsort()
+    point = frame.enter_points(found.xyz)[elements.row]
+    confidence = torch.as_tensor(found.confidence)[elements.row]
+    published = {name: elements.attributes[name] for name in lines.appearance.names}
+    pupil = taught(embedding, published, point, confidence, attack.config.teaching)
+    seen = embedded(pupil, published, ())
+    return seen.likeness(place[[row]], place[torch.as_tensor(others)][None])[0].numpy()
+
+
 def draw_rounds(room: Room) -> None:
     """Draw the room from above after no, one and all rounds, and the truth."""
     figure, panels = plt.subplots(1, 4, figsize=(16, 4.4), constrained_layout=True)
@@ -373,6 +450,7 @@ DRAWINGS = {
     "neighborhoods": draw_neighborhoods,
     "density": draw_tomography,
     "affinities": draw_affinities,
+    "likeness": draw_likeness,
     "rounds": draw_rounds,
     "bounds": draw_bounds,
 }

@@ -275,8 +275,8 @@ def test_defaults_are_those_of_the_package() -> None:
     assert made.learned == LearnedConfig(rounds=2, candidates=16)
 
 
-def test_the_shipped_experiment_composes() -> None:
-    made = settings(experiment="shipped")
+def test_the_geometric_experiment_composes() -> None:
+    made = settings(experiment="geometric")
     assert made.learned == LearnedConfig() and made.data.scenes and set(made.data.val).isdisjoint(made.data.scenes)
 
 
