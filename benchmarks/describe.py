@@ -8,12 +8,13 @@ Photographs are those in MODEL/thumbs; they may be smaller than the model's imag
 the points that could be described; the others, at the borders of the images, are left out.
 
 It needs OpenCV 4 (pip install "opencv-python-headless<5"), since 5 has no AKAZE. A point's descriptor
-is that of its first observation (bits), or the mean over its track (numbers).
+is that of its first observation (bits, or with --single), or the mean over its track (numbers).
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -34,9 +35,8 @@ SIZE = 12.0
 
 def observations(model: Any, photographs: Path, kind: str, size: float) -> Iterable[tuple[int, int, np.ndarray]]:
     """Point id, image id and descriptor of each observation that OpenCV can describe."""
-    import cv2
-
-    maker = {"orb": cv2.ORB_create, "akaze": _akaze, "brisk": cv2.BRISK_create, "sift": cv2.SIFT_create}[kind]()
+    cv2 = opencv()
+    maker = {"orb": cv2.ORB_create, "akaze": akaze, "brisk": cv2.BRISK_create, "sift": cv2.SIFT_create}[kind]()
     for image_id, image in sorted(model.images.items()):
         file = photographs / image.name
         grey = cv2.imread(str(file if file.is_file() else file.with_suffix(".jpg")), cv2.IMREAD_GRAYSCALE)
@@ -54,20 +54,29 @@ def observations(model: Any, photographs: Path, kind: str, size: float) -> Itera
             yield seen[round(keypoint.response)].point3D_id, image_id, row
 
 
-def _akaze() -> Any:
-    """AKAZE itself finds where its own keypoints are; its descriptor at given places is upright."""
-    import cv2
+def opencv() -> Any:
+    """OpenCV 4, which no part of l2p needs."""
+    try:
+        return importlib.import_module("cv2")
+    except ImportError as error:
+        raise InputError('OpenCV is missing; pip install "opencv-python-headless<5"') from error
 
+
+def akaze() -> Any:
+    """AKAZE itself finds where its own keypoints are; its descriptor at given places is upright."""
+    cv2 = opencv()
     return cv2.AKAZE_create(descriptor_type=cv2.AKAZE_DESCRIPTOR_MLDB_UPRIGHT)
 
 
-def described(model: Any, photographs: Path, kind: str, size: float) -> tuple[np.ndarray, np.ndarray]:
+def described(model: Any, photographs: Path, kind: str, size: float, single: bool) -> tuple[np.ndarray, np.ndarray]:
     """Ids of the points that were described, ascending, and their descriptors."""
     rows: dict[int, list[np.ndarray]] = {}
     for point, _, row in observations(model, photographs, kind, size):
         rows.setdefault(point, []).append(row)
     ids = np.array(sorted(rows), dtype=np.int64)
-    pick = (lambda own: own[0]) if kind in BINARY_KINDS else (lambda own: np.mean(own, axis=0, dtype=np.float32))
+    pick = (
+        (lambda own: own[0]) if single or kind in BINARY_KINDS else (lambda own: np.mean(own, axis=0, dtype=np.float32))
+    )
     return ids, np.stack([pick(rows[int(point)]) for point in ids])
 
 
@@ -80,13 +89,15 @@ def main(words: list[str]) -> int:
     parser.add_argument(
         "--size", type=float, default=SIZE, help="diameter of a keypoint, pixels (default: %(default)s)"
     )
+    parser.add_argument("--single", action="store_true", help="one observation of each point, not the mean of all")
     given = parser.parse_args(words)
     try:
         given.output.mkdir(parents=True, exist_ok=True)
         for path in given.models:
             model = read_model(path)
             scene = scene_of_model(model)
-            ids, descriptor = described(model, path / "thumbs", given.kind, given.size)
+            ids, descriptor = described(model, path / "thumbs", given.kind, given.size, given.single)
+            assert scene.ids is not None and scene.rgb is not None
             some = np.searchsorted(scene.ids, ids)
             arrays = {"xyz": scene.xyz[some], "rgb": scene.rgb[some], "ids": ids, "descriptor": descriptor}
             with atomic_file(given.output / f"{path.name}.npz", overwrite=True) as file:
