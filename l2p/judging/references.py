@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate
-from l2p.attacks.votes import member, vote
+from l2p.attacks.votes import least_squares, member, vote
 from l2p.checks import finite_rows
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
@@ -27,6 +27,10 @@ from l2p.work.work import Work
 
 #: Kernel widths tried by the leave-one-out bound, in spacings.
 BANDWIDTHS = (0.125, 0.25, 0.5, 1.0)
+
+
+#: Rules by which the oracle places a point among its neighbours' votes.
+RULES = ("peak", "least_squares")
 
 
 class Oracle(Attack):
@@ -42,17 +46,27 @@ class Oracle(Attack):
         Share of the k neighbours that is replaced by random lines, in [0, 1].
     seed : int
         Seed of the outliers.
+    rule : str
+        ``peak``: the peak of the votes, as in the attacks of l2p. ``least_squares``: the point of the line with the
+        least squared distance to the neighbours' lines, the rule of Chelani et al. (3DV 2025), which finds neighbours
+        by descriptors: an oracle of 25 or 100 neighbours, some of them wrong, stands for it.
 
     Notes
     -----
     It is not an upper bound for attacks: the nearest neighbours of a point reveal something about the point itself.
     """
 
-    def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 50, outliers: float = 0.0, seed: int = 0) -> None:
-        _check_number("k", k)
-        if not 0 <= outliers <= 1:
-            raise InputError(f"got outliers = {outliers}; expected a share in [0, 1]")
+    def __init__(
+        self,
+        points: Float[np.ndarray, "lines 3"],
+        k: int = 50,
+        outliers: float = 0.0,
+        seed: int = 0,
+        rule: str = RULES[0],
+    ) -> None:
+        check_oracle(k, outliers, rule)
         self.points, self.k, self.outliers, self.seed = finite_rows("points", points), k, outliers, seed
+        self.rule = rule
 
     def neighbors(self) -> Int[np.ndarray, "lines k"]:
         """Choose the neighbours, true ones and outliers."""
@@ -72,11 +86,15 @@ class Oracle(Attack):
         """Vote once with the true neighbours."""
         _check_count(state, self.points)
         neighbors = _in_order(self.neighbors(), state)[work.own(len(state))]
-        return vote(state.lines, neighbors, work=work)
+        return (
+            vote(state.lines, neighbors, work=work)
+            if self.rule == "peak"
+            else least_squares(state.lines, neighbors, work)
+        )
 
     def settings(self) -> dict[str, Any]:
-        """Return k, share of outliers and seed."""
-        return {"k": self.k, "outliers": self.outliers, "seed": self.seed}
+        """Return k, share of outliers, seed and rule."""
+        return {"k": self.k, "outliers": self.outliers, "seed": self.seed, "rule": self.rule}
 
 
 class CandidateOracle(Attack):
@@ -212,6 +230,15 @@ def _in_order(neighbors: Int[np.ndarray, "lines k"], elements: Elements) -> Int[
     """Convert neighbours by rows of the map to neighbours in the order of the elements."""
     index = torch.as_tensor(neighbors, device=elements.row.device)
     return elements.row.argsort()[index[elements.row]]
+
+
+def check_oracle(k: int, outliers: float, rule: str) -> None:
+    """Refuse parameters that no :class:`Oracle` has."""
+    _check_number("k", k)
+    if not 0 <= outliers <= 1:
+        raise InputError(f"got outliers = {outliers}; expected a share in [0, 1]")
+    if rule not in RULES:
+        raise InputError(f"got rule {rule!r} of the oracle; expected {' or '.join(RULES)}")
 
 
 def _check_number(name: str, count: int) -> None:

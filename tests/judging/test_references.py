@@ -40,6 +40,39 @@ def test_true_neighbours_give_the_points_of_a_surface(lifted):
     assert np.median(error) < 0.15 and (error < 1).mean() > 0.95
 
 
+def test_the_oracle_places_points_by_least_squares_too(lifted):
+    lines, truth = lifted
+    found = run(lines, Oracle(truth, 10, rule="least_squares"))
+    near = nearest_neighbors(truth, 10).index
+    for i in range(0, len(lines), 100):
+        o, d = lines.origin[i], lines.direction[i]
+        across = np.cross(d, lines.direction[near[i]])
+        sine2 = np.square(across).sum(axis=1)
+        t = (np.cross(lines.origin[near[i]] - o, lines.direction[near[i]]) * across).sum(axis=1) / sine2
+        np.testing.assert_allclose(found.xyz[i], o + (sine2 * t).sum() / sine2.sum() * d, atol=1e-4)
+    assert found.neighbors is not None
+    np.testing.assert_array_equal(np.sort(found.neighbors), np.sort(near))
+
+
+def test_outliers_harm_least_squares_more_than_the_peak(lifted):
+    _, truth = lifted
+    peak, mean = (median(lifted, Oracle(truth, 50, 0.3, rule=rule)) for rule in ("peak", "least_squares"))
+    assert mean > 1.5 * peak
+
+
+def test_least_squares_do_not_depend_on_order_sign_place_and_scale(lifted):
+    lines, truth = lifted
+    rng = np.random.default_rng(2)
+    order, sign = rng.permutation(len(truth)), rng.choice([-1.0, 1.0], len(truth))
+    moved = LineCloud.through(7 * truth + [5.0, -3, 2], sign[:, None] * lines.direction)
+    alike = [run(lines, Oracle(truth, 25, rule="least_squares")).xyz]
+    alike.append((run(moved, Oracle(7 * truth + [5.0, -3, 2], 25, rule="least_squares")).xyz - [5.0, -3, 2]) / 7)
+    shuffled = LineCloud.through(truth[order], lines.direction[order])
+    alike.append(run(shuffled, Oracle(truth[order], 25, rule="least_squares")).xyz[order.argsort()])
+    for other in alike[1:]:
+        np.testing.assert_allclose(other, alike[0], atol=1e-4)
+
+
 def test_the_candidate_oracle_lies_between_oracle_and_attack(lifted):
     _, truth = lifted
     attack = Heuristic()
@@ -121,7 +154,8 @@ def test_few_lines_have_bounds(count):
     hidden = hide(points, seed=1)
     lines, index = hidden.map, hidden.truth.index
     truth = points[index]
-    for method in (Oracle(truth, 50), Oracle(truth, 50, 0.5), CandidateOracle(truth, Heuristic()), LeaveOneOut(truth)):
+    oracles = (Oracle(truth, 50), Oracle(truth, 50, 0.5), Oracle(truth, 50, rule="least_squares"))
+    for method in (*oracles, CandidateOracle(truth, Heuristic()), LeaveOneOut(truth)):
         result = run(lines, method)
         assert np.isfinite(result.xyz).all() and np.isfinite(result.confidence).all()
 
@@ -144,6 +178,10 @@ def test_points_in_one_place_have_bounds():
         (lambda points: Oracle(points, 0), "got k = 0; expected at least 1 neighbour"),
         (lambda points: Oracle(points, 5, 1.5), r"got outliers = 1.5; expected a share in \[0, 1\]"),
         (lambda points: Oracle(points, 5, -0.1), r"got outliers = -0.1; expected a share in \[0, 1\]"),
+        (
+            lambda points: Oracle(points, 5, rule="mode"),
+            "got rule 'mode' of the oracle; expected peak or least_squares",
+        ),
         (lambda points: Oracle(points * np.nan, 5), r"got 1500 line\(s\) with a points that is NaN, infinite"),
         (lambda points: LeaveOneOut(points * np.inf), r"got \d+ line\(s\) with a points that is NaN, infinite"),
     ],
@@ -163,6 +201,6 @@ def test_the_true_points_must_be_those_of_the_lines(lifted, bound):
 
 
 def test_bounds_name_their_settings(room):
-    assert Oracle(room, 10, 0.5, 3).settings() == {"k": 10, "outliers": 0.5, "seed": 3}
+    assert Oracle(room, 10, 0.5, 3).settings() == {"k": 10, "outliers": 0.5, "seed": 3, "rule": "peak"}
     assert CandidateOracle(room, Heuristic()).settings()["attack"]["rounds"] == 3
     assert LeaveOneOut(room).settings()["k"] == 128
