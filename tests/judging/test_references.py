@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
+import torch
+from tiny import learned, seeing
 
-from l2p.attacks.attack import Attack
+from l2p.attacks.attack import Attack, Elements
 from l2p.attacks.heuristic import Heuristic
+from l2p.attacks.learned.embedding import Appearances, Embedding
+from l2p.attacks.learned.learned import Learned
 from l2p.attacks.run import run
 from l2p.errors import InputError
 from l2p.geometry.points import nearest_neighbors
 from l2p.judging.accuracy import errors, spacing
-from l2p.judging.references import CandidateOracle, LeaveOneOut, Oracle
+from l2p.judging.references import BANDWIDTHS, POWERS, CandidateOracle, LeaveOneOut, Oracle
+from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
 from l2p.schemes.hide import hide
 
@@ -127,6 +135,106 @@ def test_leave_one_out_does_not_use_the_lines_own_point(lifted):
     assert np.linalg.norm(result.xyz[7]) < 5
 
 
+class Looks(Learned):
+    """A likeness of one's own: points look alike if they are near each other, more so if ``sharp``."""
+
+    def __init__(self, sharp: float = 1.0) -> None:
+        super().__init__(seeing().network)
+        self.sharp = sharp
+
+    def seen(self, elements: Elements, embedding: Embedding | None = None) -> Elements:
+        if "rgb" not in elements.attributes:
+            return replace(elements, attributes={})
+        rgb = elements.attributes["rgb"]
+        vector = self.sharp * torch.cat([(6 * rgb).sin(), (6 * rgb).cos()], dim=1)
+        attributes: Any = {"rgb": rgb, "appearance": Appearances(vector, vector.new_zeros(len(vector)))}
+        return replace(elements, attributes=attributes)
+
+
+def colored(truth: np.ndarray) -> np.ndarray:
+    """Colours that change slowly along each axis."""
+    low, high = truth.min(axis=0), truth.max(axis=0)
+    return np.round(255 * (truth - low) / (high - low)).astype(np.uint8)
+
+
+def slow_joint(lines: LineCloud, truth: np.ndarray, rgb: np.ndarray) -> np.ndarray:
+    """Places of the points by loops over widths, powers, lines and other points."""
+    looks = 6 * (rgb / 255)
+    looks = np.concatenate([np.sin(looks), np.cos(looks)], axis=1)
+    o, d, unit = lines.origin, lines.direction, spacing(truth)
+    best, least = np.zeros(0), np.inf
+    for width in unit * np.array(BANDWIDTHS):
+        for power in POWERS:
+            beta = np.zeros(len(truth))
+            for i in range(len(truth)):
+                others = [j for j in range(len(truth)) if j != i]
+                foot = (truth[others] - o[i]) @ d[i]
+                apart = np.linalg.norm(truth[others] - o[i] - foot[:, None] * d[i], axis=1)
+                weight = np.exp(-0.5 * (apart / width) ** 2 + power * (looks[others] @ looks[i]))
+                density = [(weight * np.exp(-0.5 * ((foot - at) / width) ** 2)).sum() for at in foot]
+                beta[i] = foot[int(np.argmax(density))]
+                for _ in range(5):
+                    pull = weight * np.exp(-0.5 * ((foot - beta[i]) / width) ** 2)
+                    beta[i] = (pull * foot).sum() / pull.sum()
+            error = np.median(np.abs(beta - ((truth - o) * d).sum(axis=1)))
+            if error < least:
+                best, least = beta, error
+    return lines.at(best)
+
+
+def test_the_joint_bound_is_the_mode_of_kernel_times_likelihood_ratio(room):
+    hidden = hide(room[::15], seed=1, rgb=colored(room[::15]))
+    lines, truth = hidden.map, hidden.truth.xyz
+    assert lines.rgb is not None
+    found = run(lines, LeaveOneOut(truth, k=200, sees=Looks()))
+    expected = slow_joint(lines, truth, lines.rgb)
+    # Two places of almost equal density may change their order in single precision.
+    assert (np.linalg.norm(found.xyz - expected, axis=1) < 1e-3).mean() > 0.97
+
+
+def test_appearance_makes_the_bound_better_and_its_absence_leaves_it_to_the_bit(room):
+    hidden = hide(room, seed=1, rgb=colored(room))
+    lines, truth = hidden.map, hidden.truth.xyz
+    alone = run(lines.without(["rgb"]), LeaveOneOut(truth))
+    joint = run(lines, LeaveOneOut(truth, sees=Looks()))
+    assert median((lines, truth), LeaveOneOut(truth, sees=Looks())) < 0.8 * median((lines, truth), LeaveOneOut(truth))
+    assert joint.info["used"] == ["rgb"] and alone.info["used"] == []
+    for same in (LeaveOneOut(truth), LeaveOneOut(truth, sees=Looks())):
+        other = run(lines if same.sees is None else lines.without(["rgb"]), same)
+        for name in ("xyz", "confidence", "affinity", "neighbors"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(alone, name))
+
+
+def test_the_joint_bound_does_not_depend_on_order_sign_place_and_scale(room):
+    truth, rgb = room[::3], colored(room)[::3]
+    rng = np.random.default_rng(2)
+    direction, sign = rng.normal(size=truth.shape), rng.choice([-1.0, 1.0], (len(truth), 1))
+    here = run(LineCloud.through(truth, direction, Appearance(rgb)), LeaveOneOut(truth, sees=Looks())).xyz
+    there, order = 7 * truth + [5.0, -3, 2], rng.permutation(len(truth))
+    lines = LineCloud.through(there[order], (sign * direction)[order], Appearance(rgb[order]))
+    found = (run(lines, LeaveOneOut(there[order], sees=Looks())).xyz[order.argsort()] - [5.0, -3, 2]) / 7
+    assert (np.linalg.norm(found - here, axis=1) < 1e-3).mean() > 0.99
+
+
+def test_a_likelihood_ratio_beyond_all_floats_is_no_harm(room):
+    hidden = hide(room[::5], seed=1, rgb=colored(room[::5]))
+    found = run(hidden.map, LeaveOneOut(hidden.truth.xyz, sees=Looks(sharp=1e3)))
+    assert np.isfinite(found.xyz).all() and ((found.confidence >= 0) & (found.confidence <= 1)).all()
+
+
+def test_the_bound_sees_by_the_embedding_of_a_learned_attack(room):
+    hidden = hide(
+        room, seed=1, rgb=colored(room), descriptor=np.ones((len(room), 128), np.uint8), descriptor_kind="sift"
+    )
+    seen = run(hidden.map, LeaveOneOut(hidden.truth.xyz, sees=seeing()))
+    assert seen.info["used"] == ["rgb", "descriptor"]
+    assert not np.array_equal(seen.xyz, run(hidden.map, LeaveOneOut(hidden.truth.xyz)).xyz)
+    other = run(hidden.map, LeaveOneOut(hidden.truth.xyz, sees=seeing(kind="orb")))
+    assert other.info["used"] == ["rgb"], "descriptors of another kind say nothing"
+    with pytest.raises(InputError, match="sees appearance by a network, which uses lines alone; expected a checkpoint"):
+        LeaveOneOut(room, sees=learned())
+
+
 @pytest.mark.parametrize(("outliers", "wrong"), [(0.0, 0), (0.25, 10), (0.5, 20), (1.0, 40)])
 def test_a_share_of_the_neighbours_is_wrong(room, outliers, wrong):
     neighbors = Oracle(room, 40, outliers).neighbors()
@@ -155,7 +263,9 @@ def test_few_lines_have_bounds(count):
     lines, index = hidden.map, hidden.truth.index
     truth = points[index]
     oracles = (Oracle(truth, 50), Oracle(truth, 50, 0.5), Oracle(truth, 50, rule="least_squares"))
-    for method in (*oracles, CandidateOracle(truth, Heuristic()), LeaveOneOut(truth)):
+    lines = LineCloud(lines.direction, lines.moment, rgb=np.zeros((count, 3), np.uint8))
+    bounds = (CandidateOracle(truth, Heuristic()), LeaveOneOut(truth), LeaveOneOut(truth, sees=seeing()))
+    for method in (*oracles, *bounds):
         result = run(lines, method)
         assert np.isfinite(result.xyz).all() and np.isfinite(result.confidence).all()
 
