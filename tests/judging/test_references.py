@@ -183,7 +183,7 @@ def slow_joint(lines: LineCloud, truth: np.ndarray, rgb: np.ndarray) -> np.ndarr
 
 
 def test_the_joint_bound_is_the_mode_of_kernel_times_likelihood_ratio(room):
-    hidden = hide(room[::15], seed=1, rgb=colored(room[::15]))
+    hidden = hide(room[::25], seed=1, rgb=colored(room[::25]))
     lines, truth = hidden.map, hidden.truth.xyz
     assert lines.rgb is not None
     found = run(lines, LeaveOneOut(truth, k=200, sees=Looks()))
