@@ -26,7 +26,7 @@ from l2p.errors import InputError
 from l2p.io.kinds import Kind, kind_of
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene
-from l2p.judging.references import RULES, CandidateOracle, LeaveOneOut, Oracle, check_oracle
+from l2p.judging.references import RULES, CandidateOracle, LeaveOneOut, Oracle, check_oracle, known_at_sight
 from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
@@ -148,7 +148,7 @@ class LeaveOneOutContender(Peer):
 
     def uses(self, appearance: Appearance) -> tuple[str, ...]:
         """Return what the embedding knows."""
-        return self._embedding().uses(appearance) if self.sees else ()
+        return known_at_sight(self._embedding(), appearance) if self.sees else ()
 
     def files(self, cloud: str) -> dict[str, str]:
         """Return the digest of the checkpoint, if it sees anything by it."""

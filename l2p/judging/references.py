@@ -193,8 +193,8 @@ class LeaveOneOut(Attack):
         self.points, self.k, self.sees = finite_rows("points", points), k, sees
 
     def uses(self, appearance: Appearance) -> tuple[str, ...]:
-        """Return the attributes that the embedding knows."""
-        return () if self.sees is None else self.sees.uses(appearance)
+        """Return the attributes that the embedding knows: colours, and descriptors of its kind."""
+        return () if self.sees is None else known_at_sight(self.sees, appearance)
 
     def finish(self, state: Elements, work: Work) -> Estimate:
         """Find the mode of the density along each line, for the best of the kernel widths and powers."""
@@ -235,6 +235,12 @@ class LeaveOneOut(Attack):
         """Return points per line and kernel widths; and powers and the file of the embedding, if it sees anything."""
         seen = {} if self.sees is None else {"powers": list(POWERS), **self.sees.source}
         return {"k": self.k, "bandwidths": list(BANDWIDTHS), **seen}
+
+
+def known_at_sight(attack: Learned, appearance: Appearance) -> tuple[str, ...]:
+    """Attributes of a map that the embedding of a learned attack knows from its training, before it sees the map."""
+    known = {"rgb": True, "descriptor": appearance.descriptor_kind == attack.network.config.kind}
+    return tuple(name for name in appearance.names if known[name])
 
 
 def _modes(

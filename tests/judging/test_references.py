@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
 import torch
 from tiny import learned, seeing
+from torch import Tensor
 
-from l2p.attacks.attack import Attack, Elements
+from l2p.attacks.attack import Attack
 from l2p.attacks.heuristic import Heuristic
-from l2p.attacks.learned.embedding import Appearances, Embedding
+from l2p.attacks.learned.embedding import Embedding
 from l2p.attacks.learned.learned import Learned
 from l2p.attacks.run import run
 from l2p.errors import InputError
@@ -135,20 +135,23 @@ def test_leave_one_out_does_not_use_the_lines_own_point(lifted):
     assert np.linalg.norm(result.xyz[7]) < 5
 
 
-class Looks(Learned):
-    """A likeness of one's own: points look alike if they are near each other, more so if ``sharp``."""
+class Looks(Embedding):
+    """An embedding of colours: points whose colours are near each other look alike, more so if ``sharp``."""
 
-    def __init__(self, sharp: float = 1.0) -> None:
-        super().__init__(seeing().network)
+    def __init__(self, sharp: float) -> None:
+        super().__init__(length=128, width=1, size=6)
         self.sharp = sharp
 
-    def seen(self, elements: Elements, embedding: Embedding | None = None) -> Elements:
-        if "rgb" not in elements.attributes:
-            return replace(elements, attributes={})
-        rgb = elements.attributes["rgb"]
-        vector = self.sharp * torch.cat([(6 * rgb).sin(), (6 * rgb).cos()], dim=1)
-        attributes: Any = {"rgb": rgb, "appearance": Appearances(vector, vector.new_zeros(len(vector)))}
-        return replace(elements, attributes=attributes)
+    def forward(self, attributes: Mapping[str, Tensor]) -> Tensor:
+        angle = 6 * attributes["rgb"]
+        return self.sharp * torch.cat([angle.sin(), angle.cos()], dim=1)
+
+
+def looks(sharp: float = 1.0) -> Learned:
+    """A learned attack with this embedding."""
+    attack = seeing()
+    attack.network.embedding = Looks(sharp)
+    return attack
 
 
 def colored(truth: np.ndarray) -> np.ndarray:
@@ -159,8 +162,10 @@ def colored(truth: np.ndarray) -> np.ndarray:
 
 def slow_joint(lines: LineCloud, truth: np.ndarray, rgb: np.ndarray) -> np.ndarray:
     """Places of the points by loops over widths, powers, lines and other points."""
-    looks = 6 * (rgb / 255)
-    looks = np.concatenate([np.sin(looks), np.cos(looks)], axis=1)
+    angle = 6 * (rgb / 255)
+    vector = np.concatenate([np.sin(angle), np.cos(angle)], axis=1)
+    background = np.log(np.exp(vector @ vector.T).mean(axis=1))
+    likeness = vector @ vector.T - 0.5 * (background[:, None] + background)
     o, d, unit = lines.origin, lines.direction, spacing(truth)
     best, least = np.zeros(0), np.inf
     for width in unit * np.array(BANDWIDTHS):
@@ -170,7 +175,7 @@ def slow_joint(lines: LineCloud, truth: np.ndarray, rgb: np.ndarray) -> np.ndarr
                 others = [j for j in range(len(truth)) if j != i]
                 foot = (truth[others] - o[i]) @ d[i]
                 apart = np.linalg.norm(truth[others] - o[i] - foot[:, None] * d[i], axis=1)
-                weight = np.exp(-0.5 * (apart / width) ** 2 + power * (looks[others] @ looks[i]))
+                weight = np.exp(-0.5 * (apart / width) ** 2 + power * likeness[i, others])
                 density = [(weight * np.exp(-0.5 * ((foot - at) / width) ** 2)).sum() for at in foot]
                 beta[i] = foot[int(np.argmax(density))]
                 for _ in range(5):
@@ -186,7 +191,7 @@ def test_the_joint_bound_is_the_mode_of_kernel_times_likelihood_ratio(room):
     hidden = hide(room[::25], seed=1, rgb=colored(room[::25]))
     lines, truth = hidden.map, hidden.truth.xyz
     assert lines.rgb is not None
-    found = run(lines, LeaveOneOut(truth, k=200, sees=Looks()))
+    found = run(lines, LeaveOneOut(truth, k=200, sees=looks()))
     expected = slow_joint(lines, truth, lines.rgb)
     # Two places of almost equal density may change their order in single precision.
     assert (np.linalg.norm(found.xyz - expected, axis=1) < 1e-3).mean() > 0.97
@@ -196,10 +201,10 @@ def test_appearance_makes_the_bound_better_and_its_absence_leaves_it_to_the_bit(
     hidden = hide(room, seed=1, rgb=colored(room))
     lines, truth = hidden.map, hidden.truth.xyz
     alone = run(lines.without(["rgb"]), LeaveOneOut(truth))
-    joint = run(lines, LeaveOneOut(truth, sees=Looks()))
-    assert median((lines, truth), LeaveOneOut(truth, sees=Looks())) < 0.8 * median((lines, truth), LeaveOneOut(truth))
+    joint = run(lines, LeaveOneOut(truth, sees=looks()))
+    assert median((lines, truth), LeaveOneOut(truth, sees=looks())) < 0.8 * median((lines, truth), LeaveOneOut(truth))
     assert joint.info["used"] == ["rgb"] and alone.info["used"] == []
-    for same in (LeaveOneOut(truth), LeaveOneOut(truth, sees=Looks())):
+    for same in (LeaveOneOut(truth), LeaveOneOut(truth, sees=looks())):
         other = run(lines if same.sees is None else lines.without(["rgb"]), same)
         for name in ("xyz", "confidence", "affinity", "neighbors"):
             np.testing.assert_array_equal(getattr(other, name), getattr(alone, name))
@@ -209,16 +214,16 @@ def test_the_joint_bound_does_not_depend_on_order_sign_place_and_scale(room):
     truth, rgb = room[::3], colored(room)[::3]
     rng = np.random.default_rng(2)
     direction, sign = rng.normal(size=truth.shape), rng.choice([-1.0, 1.0], (len(truth), 1))
-    here = run(LineCloud.through(truth, direction, Appearance(rgb)), LeaveOneOut(truth, sees=Looks())).xyz
+    here = run(LineCloud.through(truth, direction, Appearance(rgb)), LeaveOneOut(truth, sees=looks())).xyz
     there, order = 7 * truth + [5.0, -3, 2], rng.permutation(len(truth))
     lines = LineCloud.through(there[order], (sign * direction)[order], Appearance(rgb[order]))
-    found = (run(lines, LeaveOneOut(there[order], sees=Looks())).xyz[order.argsort()] - [5.0, -3, 2]) / 7
+    found = (run(lines, LeaveOneOut(there[order], sees=looks())).xyz[order.argsort()] - [5.0, -3, 2]) / 7
     assert (np.linalg.norm(found - here, axis=1) < 1e-3).mean() > 0.99
 
 
 def test_a_likelihood_ratio_beyond_all_floats_is_no_harm(room):
     hidden = hide(room[::5], seed=1, rgb=colored(room[::5]))
-    found = run(hidden.map, LeaveOneOut(hidden.truth.xyz, sees=Looks(sharp=1e3)))
+    found = run(hidden.map, LeaveOneOut(hidden.truth.xyz, sees=looks(sharp=1e3)))
     assert np.isfinite(found.xyz).all() and ((found.confidence >= 0) & (found.confidence <= 1)).all()
 
 
