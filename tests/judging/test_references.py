@@ -188,7 +188,8 @@ def slow_joint(lines: LineCloud, truth: np.ndarray, rgb: np.ndarray) -> np.ndarr
 
 
 def test_the_joint_bound_is_the_mode_of_kernel_times_likelihood_ratio(room):
-    hidden = hide(room[::25], seed=1, rgb=colored(room[::25]))
+    some = room[25::25]  # an odd number: medians of an even one differ between torch and numpy
+    hidden = hide(some, seed=1, rgb=colored(some))
     lines, truth = hidden.map, hidden.truth.xyz
     assert lines.rgb is not None
     found = run(lines, LeaveOneOut(truth, k=200, sees=looks()))
@@ -211,7 +212,7 @@ def test_appearance_makes_the_bound_better_and_its_absence_leaves_it_to_the_bit(
 
 
 def test_the_joint_bound_does_not_depend_on_order_sign_place_and_scale(room):
-    truth, rgb = room[::3], colored(room)[::3]
+    truth, rgb = room[::6], colored(room)[::6]
     rng = np.random.default_rng(2)
     direction, sign = rng.normal(size=truth.shape), rng.choice([-1.0, 1.0], (len(truth), 1))
     here = run(LineCloud.through(truth, direction, Appearance(rgb)), LeaveOneOut(truth, sees=looks())).xyz
