@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import logging
 import re
 import time
 from collections.abc import Iterator, Sequence
@@ -16,17 +17,21 @@ from typing import Any
 import numpy as np
 import torch
 
-from eval.contenders import Contender, Trial, identity_of
+from eval.contenders import identity_of
+from eval.contract import Contender, Trial
 from eval.eval_config import Settings
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.recovery_files import save_recovery
+from l2p.maps.appearance import ATTRIBUTES
 from l2p.maps.recovery import Recovery
 from l2p.maps.truth import Hiding
 from l2p.programs.commits import commit, source_digest
 from l2p.programs.scenes import SceneSource, load
 from l2p.schemes.hide import hide
 from l2p.work.resident import measured_peak
+
+log = logging.getLogger("eval")
 
 
 @dataclass(frozen=True)
@@ -50,22 +55,34 @@ class Cell:
         return f"{self.cloud_key}_{re.sub('[^a-z0-9]+', '-', self.contender.label.lower()).strip('-')}"
 
     def trial(self) -> Trial:
-        """Line cloud, and the truth for references."""
+        """Line cloud with the attributes that the method sees, and the truth for references."""
         hidden = self.hidden()
+        lines = hidden.map.without([name for name in ATTRIBUTES if name not in self.contender.sees])
         points = hidden.truth.xyz
-        return Trial(self.cloud_key, hidden.map, points, self.scene.kind, self.fraction, self.seed, self.device)
+        return Trial(self.cloud_key, lines, points, self.scene.kind, self.fraction, self.seed, self.device)
 
     def hidden(self) -> Hiding:
-        """Line cloud and truth, with the spacing of the whole scene."""
+        """Line cloud with all attributes of the scene, and truth, with the spacing of the whole scene."""
         scene = load(self.scene.source)
-        hidden = hide(scene.xyz, self.seed, self.fraction)
+        seen = scene.appearance
+        hidden = hide(
+            scene.xyz,
+            self.seed,
+            self.fraction,
+            rgb=seen.rgb,
+            descriptor=seen.descriptor,
+            descriptor_kind=seen.descriptor_kind,
+        )
         return replace(hidden, truth=replace(hidden.truth, spacing=scene.spacing))
 
     def identity(self) -> dict[str, Any]:
         """Return all inputs of the prediction except the code."""
+        scene = load(self.scene.source)
+        attributes = {name: scene.attributes[name] for name in self.contender.sees}
         return {
             "scene": self.scene.name,
-            "points": load(self.scene.source).digest,
+            "points": scene.digest,
+            **({"attributes": attributes} if attributes else {}),
             "kind": self.scene.kind,
             "fraction": self.fraction,
             "seed": self.seed,
@@ -166,6 +183,41 @@ def cells_of(settings: Settings, scenes: Sequence[SceneSource]) -> list[Cell]:
                 f"got labels {owner[cell.key]!r} and {label!r}; expected them to differ in letters or digits"
             )
     return cells
+
+
+def without_unseen(cells: Sequence[Cell]) -> list[Cell]:
+    """Leave out, with a line in the log, scenes that lack an attribute that a method sees, or have one that it cannot
+    use.
+
+    Raises
+    ------
+    InputError
+        If no cell is left.
+    """
+    why: dict[tuple[str, str], str] = {}
+    for cell in cells:
+        key = (cell.scene.source, cell.contender.label)
+        if key not in why:
+            why[key] = _unseen(cell.scene, cell.contender)
+            if why[key]:
+                log.warning("%s is left out on %s: %s", cell.contender.label, cell.scene.name, why[key])
+    left = [cell for cell in cells if not why[cell.scene.source, cell.contender.label]]
+    if not left:
+        raise InputError(f"got no scene that has what its methods see ({next(iter(why.values()))}); give others")
+    return left
+
+
+def _unseen(scene: SceneSource, contender: Contender) -> str:
+    """Why the method cannot see in this scene what it should; empty if it can."""
+    if not contender.sees:
+        return ""
+    appearance = load(scene.source).appearance
+    missing = [name for name in contender.sees if name not in appearance.names]
+    if missing:
+        return f"the scene has no {' and no '.join(missing)}"
+    unused = [name for name in contender.sees if name not in contender.uses(appearance)]
+    kind = f" of kind {appearance.descriptor_kind}" if "descriptor" in unused else ""
+    return f"the method cannot use {' and '.join(unused)}{kind}" if unused else ""
 
 
 def predict(cell: Cell, store: Store) -> None:

@@ -1,91 +1,39 @@
 """Methods that can be compared, by name: each a dataclass of its parameters that recovers a trial's points.
 
-To add one, write a dataclass with ``label`` and ``recover`` (or, if it returns an ``Attack``, ``build``) and list it in
-``CONTENDERS``. A user's own method needs no entry: ``{name: call, path: package.module:callable}``.
+To add one, write a dataclass with ``label``, ``sees`` and ``recover`` (or, if it returns an ``Attack``, ``build``) and
+list it in ``CONTENDERS``. A user's own method needs no entry: ``{name: call, path: package.module:callable}``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float
 from omegaconf import MISSING, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from eval.contract import Contender, Peer, Trial, check_sight, settle_sight
 from l2p.attacks.attack import Attack
 from l2p.attacks.learned import checkpoint
+from l2p.attacks.learned.learned import Learned
 from l2p.attacks.named import imported, named_attack
-from l2p.attacks.run import run
 from l2p.attacks.settings import ATTACKS, METHODS
 from l2p.checks import finite_rows
 from l2p.errors import InputError
 from l2p.io.kinds import Kind, kind_of
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene
-from l2p.judging.references import CandidateOracle, LeaveOneOut, Oracle
+from l2p.judging.references import RULES, CandidateOracle, LeaveOneOut, Oracle, check_oracle, known_at_sight
+from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.programs.scenes import PAPER_KIND
 
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """Line cloud to attack. Only references may use ``truth``, (lines, 3) in the order of the lines."""
-
-    key: str
-    lines: LineCloud
-    truth: Float[np.ndarray, "lines 3"]
-    kind: str
-    fraction: float
-    seed: int
-    device: str
-
-
-@runtime_checkable
-class Contender(Protocol):
-    """Method with its parameters."""
-
-    #: Whether it is a reference, which uses the truth, rather than an attack.
-    knows_truth: ClassVar[bool]
-    #: Whether the duration of ``recover`` is the running time of the method.
-    timed: ClassVar[bool]
-
-    @property
-    def label(self) -> str:
-        """Name in tables; unique in a run."""
-        ...
-
-    def files(self, cloud: str) -> dict[str, str]:
-        """Return digests of the files read for the line cloud of that name: the prediction depends on them, too."""
-        ...
-
-    def recover(self, trial: Trial) -> Recovery:
-        """Recover the points."""
-        ...
-
-
-@dataclass(frozen=True)
-class Peer:
-    """Method that is built for a trial and run by :func:`l2p.attacks.run.run`."""
-
-    label: str = ""
-    knows_truth: ClassVar[bool] = False
-    timed: ClassVar[bool] = True
-
-    def build(self, trial: Trial) -> Attack:
-        """Build the method for this trial."""
-        raise NotImplementedError
-
-    def files(self, cloud: str) -> dict[str, str]:
-        """Return no digests: it reads no files."""
-        return {}
-
-    def recover(self, trial: Trial) -> Recovery:
-        """Build, then run."""
-        return run(trial.lines, self.build(trial), device=trial.device, name=self.label)
+#: Parameters that records of earlier versions lack, and the values that these versions had.
+_LATER: dict[str, Any] = {"calibrated": None, "sees": (), "rule": RULES[0], "checkpoint": None}
 
 
 @dataclass(frozen=True)
@@ -99,8 +47,12 @@ class AttackContender(Peer):
     settings: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _default_label(self, self.name.rpartition(":")[2])
-        named_attack(self.name, **self.settings)  # refused before any work
+        settle_sight(self, self.name.rpartition(":")[2])
+        check_sight(self, named_attack(self.name, **self.settings))  # refused before any work
+
+    def uses(self, appearance: Appearance) -> tuple[str, ...]:
+        """Return what the attack says that it uses."""
+        return named_attack(self.name, **self.settings).uses(appearance)
 
     def build(self, trial: Trial) -> Attack:
         """Build the attack for this trial."""
@@ -118,34 +70,44 @@ class AttackContender(Peer):
 
 @dataclass(frozen=True)
 class OracleContender(Peer):
-    """Oracle with the true neighbours, a share of them replaced by random lines."""
+    """Oracle with the true neighbours, a share of them replaced by random lines; ``rule`` places the points."""
 
-    label: str = ""
     k: int = 50
     outliers: float = 0.0
+    rule: str = RULES[0]
     knows_truth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        check_oracle(self.k, self.outliers, self.rule)
         wrong = f", {self.outliers:.0%} outliers" if self.outliers else ""
-        _default_label(self, f"oracle {self.k}{wrong}")
+        rule = "" if self.rule == RULES[0] else f", {self.rule.replace('_', ' ')}"
+        settle_sight(self, f"oracle {self.k}{wrong}{rule}")
+        check_sight(self)
 
     def build(self, trial: Trial) -> Attack:
         """Build the oracle; its outliers follow from the seed of the lifting."""
-        return Oracle(trial.truth, self.k, self.outliers, trial.seed)
+        return Oracle(trial.truth, self.k, self.outliers, trial.seed, self.rule)
 
 
 @dataclass(frozen=True)
 class CandidateOracleContender(Peer):
     """Oracle with the true neighbours among the candidates of an attack, by default of the heuristic."""
 
-    label: str = ""
     k: int = 50
     candidates: int = 200
     attack: dict[str, Any] = field(default_factory=lambda: {"name": "heuristic"})
     knows_truth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        _default_label(self, f"candidate oracle {self.k}")
+        settle_sight(self, f"candidate oracle {self.k}")
+        if "sees" in self.attack:
+            raise InputError(f"got sees of the attack of {self.label}; expected it beside candidate_oracle itself")
+        if self.sees:
+            self._peer()  # refused before any work
+
+    def uses(self, appearance: Appearance) -> tuple[str, ...]:
+        """Return what the attack uses."""
+        return self._peer().uses(appearance)
 
     def build(self, trial: Trial) -> Attack:
         """Build the oracle on the candidates of the attack."""
@@ -156,7 +118,7 @@ class CandidateOracleContender(Peer):
         return self._peer().files(cloud)
 
     def _peer(self) -> Peer:
-        attack = contender_of(self.attack)
+        attack = contender_of({**self.attack, "sees": list(self.sees)})
         if not isinstance(attack, Peer):
             raise InputError(f"got attack {self.attack}; expected a method of l2p, whose estimates give candidates")
         return attack
@@ -164,15 +126,39 @@ class CandidateOracleContender(Peer):
 
 @dataclass(frozen=True)
 class LeaveOneOutContender(Peer):
-    """Leave-one-out bound: all other points are known."""
+    """Leave-one-out bound: all other points are known, and how they look, if it sees that.
 
-    label: str = "LOO"
+    ``checkpoint``: the learned attack whose embedding it sees by; None for the one that l2p ships.
+    """
+
     k: int = 128
+    checkpoint: str | None = None
     knows_truth: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        settle_sight(self, "LOO")
+        if self.checkpoint is not None and not self.sees:
+            raise InputError(f"got a checkpoint for {self.label}, which sees nothing by it; leave it out, or give sees")
+        if self.sees:
+            check_sight(self, self._embedding())
 
     def build(self, trial: Trial) -> Attack:
         """Build the bound for these points."""
-        return LeaveOneOut(trial.truth, self.k)
+        return LeaveOneOut(trial.truth, self.k, self._embedding() if self.sees else None)
+
+    def uses(self, appearance: Appearance) -> tuple[str, ...]:
+        """Return what the embedding knows."""
+        return known_at_sight(self._embedding(), appearance) if self.sees else ()
+
+    def files(self, cloud: str) -> dict[str, str]:
+        """Return the digest of the checkpoint, if it sees anything by it."""
+        return {"digest": checkpoint.digest(self._file())} if self.sees else {}
+
+    def _embedding(self) -> Learned:
+        return checkpoint.load(self._file())
+
+    def _file(self) -> str | Path:
+        return checkpoint.shipped() if self.checkpoint is None else self.checkpoint
 
 
 @dataclass(frozen=True)
@@ -197,12 +183,17 @@ class CallContender:
     label: str = ""
     arguments: dict[str, Any] = field(default_factory=dict)
     calibrated: bool | None = None
+    sees: tuple[str, ...] = ()
     knows_truth: ClassVar[bool] = False
     timed: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        _default_label(self, self.path.rpartition(":")[2])
+        settle_sight(self, self.path.rpartition(":")[2])
         imported(self.path)
+
+    def uses(self, appearance: Appearance) -> tuple[str, ...]:
+        """Return all that there is: the lines bring it to the callable."""
+        return appearance.names
 
     def recover(self, trial: Trial) -> Recovery:
         """Call it with the lines and ``arguments``, without the truth."""
@@ -219,17 +210,23 @@ class FolderContender:
     """Recoveries, or bare points in the order of the lines, by other programs: ``FOLDER/SCENE_PERCENT_SEED.npz`` for
     the lines of ``l2p lift --fraction F --seed S``.
 
-    ``calibrated``: whether the confidence is a probability; None to use the value in the files.
+    ``calibrated``: whether the confidence is a probability; None to use the value in the files. ``sees``: what these
+    programs knew besides the lines.
     """
 
     path: str
     label: str = ""
     calibrated: bool | None = None
+    sees: tuple[str, ...] = ()
     knows_truth: ClassVar[bool] = False
     timed: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        _default_label(self, Path(self.path).name)
+        settle_sight(self, Path(self.path).name)
+
+    def uses(self, appearance: Appearance) -> tuple[str, ...]:
+        """Return all that there is: the other programs are taken at their word."""
+        return appearance.names
 
     def recover(self, trial: Trial) -> Recovery:
         """Read the recovery; bare points all get the same confidence."""
@@ -282,10 +279,10 @@ def contender_of(entry: dict[str, Any]) -> Contender:
     parameters = {key: value for key, value in entry.items() if key != "name"}
     try:
         if name in ATTACKS:
-            settings = {key: value for key, value in parameters.items() if key != "label"}
+            settings = {key: value for key, value in parameters.items() if key not in ("label", "sees")}
             checked: Any = OmegaConf.merge(OmegaConf.structured(ATTACKS[name].settings), settings)
             given = {key: checked[key] for key in settings if checked[key] is not None}
-            return AttackContender(parameters.get("label") or name, name, given)
+            return AttackContender(parameters.get("label") or "", parameters.get("sees", ()), name, given)
         return OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(CONTENDERS[name]), parameters))  # type: ignore[return-value]
     except OmegaConfBaseException as error:
         sentence = str(error).splitlines()[0]
@@ -294,10 +291,29 @@ def contender_of(entry: dict[str, Any]) -> Contender:
 
 def identity_of(contender: Contender, cloud: str) -> dict[str, Any]:
     """Return all inputs of a prediction for that line cloud except the code: parameters, and digests of files."""
-    parameters = asdict(contender)  # type: ignore[call-overload]
-    if parameters.get("calibrated", 0) is None:
-        del parameters["calibrated"]  # records of earlier versions have no such entry
+    parameters = _parameters(contender)
+    for name, default in _LATER.items():
+        if name in parameters and parameters[name] == default:
+            del parameters[name]
     return {"class": type(contender).__name__, **parameters, **contender.files(cloud)}
+
+
+def lines_alone(contender: Contender, contenders: Sequence[Contender]) -> Contender | None:
+    """Return the contender that is the same method with the same settings, but sees nothing; None if there is none."""
+    for other in contenders:
+        if not other.sees and type(other) is type(contender) and _method(other) == _method(contender):
+            return other
+    return None
+
+
+def _method(contender: Contender) -> dict[str, Any]:
+    """Parameters of a method apart from its name in tables and what it sees, and by which file a bound does."""
+    apart = ("label", "sees", *(("checkpoint",) if isinstance(contender, LeaveOneOutContender) else ()))
+    return {name: value for name, value in _parameters(contender).items() if name not in apart}
+
+
+def _parameters(contender: Contender) -> dict[str, Any]:
+    return asdict(contender)  # type: ignore[call-overload]
 
 
 def as_recovery(answer: Any, lines: LineCloud, source: str, calibrated: bool | None = None) -> Recovery:
@@ -312,8 +328,3 @@ def as_recovery(answer: Any, lines: LineCloud, source: str, calibrated: bool | N
         return answer if calibrated is None else replace(answer, calibrated=calibrated)
     beta = np.sum((points - lines.origin) * lines.direction, axis=1)
     return Recovery(points, np.ones(len(points), dtype=np.float32), beta, calibrated=bool(calibrated))
-
-
-def _default_label(contender: Any, label: str) -> None:
-    if not contender.label:
-        object.__setattr__(contender, "label", label)

@@ -9,7 +9,8 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-from eval.contenders import Contender, contenders_of
+from eval.contenders import contenders_of
+from eval.contract import Contender
 from l2p.attacks.run import usable_device
 from l2p.checks import check_fraction
 from l2p.errors import InputError

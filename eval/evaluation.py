@@ -12,8 +12,9 @@ from typing import Any
 import torch
 import yaml
 
+from eval.appearance_table import appearance_tables
 from eval.capacity import cores, fitting
-from eval.cells import Cell, Store, cells_of, predict
+from eval.cells import Cell, Store, cells_of, predict, without_unseen
 from eval.eval_config import Settings
 from eval.figures import draw_figures
 from eval.parallel import outcomes
@@ -44,7 +45,7 @@ def evaluate_all(settings: Settings, folder: Path, command: str) -> int:
     about = _about(settings, command)  # before the long part, in which sources may change
     scenes = scenes_of(settings.scenes, settings.kinds)
     check_pictures(settings.pictures, scenes)
-    cells = cells_of(settings, scenes)
+    cells = without_unseen(cells_of(settings, scenes))
     failed = 0
     predicting = "predict" in settings.steps
     with store.locked() if predicting else nullcontext():
@@ -113,6 +114,7 @@ def _show(rows: list[Row], cells: Sequence[Cell], store: Store, settings: Settin
     targets = target_table(rows, references)
     if targets is not None:
         found.insert(1, targets)
+    found[-1:-1] = appearance_tables(rows, references)  # before the scenes
     print_tables(found)
     drawings = [*draw_figures(rows, references.knowing), *draw_pictures(cells, rows, store, settings.pictures)]
     places = [(store.folder / "results.md", "figures", "")]

@@ -176,7 +176,8 @@ def overview(rows: Sequence[Row], fractions: Sequence[float]) -> Table:
     for method in distinct(rows, "method"):
         own = [row for row in rows if row["method"] == method]
         there = [[row for row in own if row["fraction"] == fraction] for fraction in fractions]
-        body.append([method, *(f"{pooled(here, median)} / {pooled(here, share)}" if here else "-" for here in there)])
+        name = _with_scenes(method, len(distinct(own, "scene")), len(distinct(rows, "scene")))
+        body.append([name, *(f"{pooled(here, median)} / {pooled(here, share)}" if here else "-" for here in there)])
     head = ["fraction of the points", *(f"{100 * fraction:g} %" for fraction in fractions)]
     return Table("overview", f"median error in spacings / share within 1 spacing{spread_of(rows)}", head, body)
 
@@ -194,10 +195,14 @@ def method_table(rows: Sequence[Row], fraction: float) -> Table:
     for method in distinct(rows, "method"):
         own = [row for row in rows if row["method"] == method]
         there = len({row["scene"] for row in own})
-        missing = "" if there == scenes else f" ({there} of {scenes} scenes)"
-        body.append([method + missing, *(pooled(own, column) for column in columns)])
+        body.append([_with_scenes(method, there, scenes), *(pooled(own, column) for column in columns)])
     title = f"{100 * fraction:g} % of the points, {scenes} scene{'s' if scenes > 1 else ''}"
     return Table(f"{100 * fraction:g}%", title, ["method", *(column.heading for column in columns)], body)
+
+
+def _with_scenes(method: str, there: int, scenes: int) -> str:
+    """Name of a method, with the number of its scenes if some are missing, over which its figures are not pooled."""
+    return method if there == scenes else f"{method} ({there} of {scenes} scenes)"
 
 
 def scene_table(rows: Sequence[Row], fraction: float) -> Table:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from l2p.attacks.learned.inputs import GEOMETRY
 from l2p.attacks.learned.learned import Learned, LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 
@@ -16,3 +17,12 @@ def learned(rounds: int = 2, calibration: Calibration | None = None, fraction: f
         torch.manual_seed(0)
         network = LineTransformer(NetworkConfig(width=8, layers=1, heads=2))
     return Learned(network, LearnedConfig(rounds=rounds, candidates=24), calibration, fraction)
+
+
+def seeing(kind: str = "sift", length: int = 128) -> Learned:
+    """A learned attack with random weights whose network uses appearance."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        size = NetworkConfig(width=8, layers=1, heads=2, inputs=(*GEOMETRY, "likeness"), kind=kind, length=length)
+        network = LineTransformer(size)
+    return Learned(network, LearnedConfig(rounds=2, candidates=16))

@@ -9,7 +9,7 @@ from torch import Tensor
 from l2p.attacks.attack import Estimate
 from l2p.attacks.peak import PeakConfig, find_peak
 from l2p.geometry.elements import Lines
-from l2p.geometry.pairs import closest_points
+from l2p.geometry.pairs import closest_points, least_squares_points
 from l2p.work.work import ALONE, Work
 
 #: Most votes per block of the peak search, and bytes of temporaries per vote.
@@ -53,6 +53,21 @@ def peaks(
             beta[here] = find_peak(votes.beta, affinity[here] * votes.valid, peak).nan_to_num(nan=0.0)
             advance(here.stop - here.start)
     return beta
+
+
+def least_squares(lines: Lines, neighbors: Int[Tensor, "own k"], work: Work = ALONE) -> Estimate:
+    """Estimate the point of each line by its least squared distance to the neighbours' lines, all of equal weight.
+
+    The rule of Chelani et al. (3DV 2025); unlike :func:`vote`, it does not suppress outliers. The confidence is the
+    support of the point.
+    """
+    own, weight = lines.rows(work.own(len(lines.direction))), equal_weights(lines, neighbors)
+    beta = lines.direction.new_zeros(len(neighbors))
+    with work.task("least squares of the votes", total=len(neighbors)) as advance:
+        for here in _blocks(neighbors, work):
+            beta[here] = least_squares_points(own.rows(here), lines, neighbors[here], weight[here])
+            advance(here.stop - here.start)
+    return Estimate(beta, support(lines, neighbors, weight, beta, work), neighbors, weight)
 
 
 def support(

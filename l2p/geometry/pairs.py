@@ -4,6 +4,7 @@ With c = d_i . d_j and feet o_i = d_i x m_i:
 
 - line-line distance |d_i . m_j + d_j . m_i| / sqrt(1 - c^2),
 - the point of l_i closest to l_j at beta_ij = (o_j . d_i + c o_i . d_j) / (1 - c^2), since o_i . d_i = 0,
+- the point of l_i with the least squared distance to several l_j: the mean of beta_ij weighted by 1 - c^2,
 - distance of a point p to l_i: |p x d_i - m_i|.
 
 Pairs with an angle below ``PARALLEL`` have no closest point: they are masked, never given distance 0.
@@ -40,6 +41,23 @@ def closest_points(lines: Lines, others: Lines, neighbors: Int[Tensor, "lines k"
     valid = (neighbors >= 0) & (sine2 > PARALLEL**2)
     beta = (product.other_first + product.cosine * product.first_other) / sine2.clamp_min(PARALLEL**2)
     return Votes(beta.masked_fill(~valid, 0), valid)
+
+
+def least_squares_points(
+    lines: Lines, others: Lines, neighbors: Int[Tensor, "lines k"], weight: Float[Tensor, "lines k"]
+) -> Float[Tensor, " lines"]:
+    """Position of the point of each line with the least weighted sum of squared distances to its neighbours.
+
+    It is the mean of the closest points beta_ij with weights w_ij sin^2 of the angle: the nearer to parallel, the less
+    a neighbour says. Neighbours without a vote do not count; without any vote, it is 0, the foot.
+    """
+    product = _products(lines.direction, lines.foot, others.direction, others.foot, neighbors)
+    sine2 = 1 - product.cosine.square()
+    weight = weight * ((neighbors >= 0) & (sine2 > PARALLEL**2))
+    # sin^2 cancels the denominator of beta_ij.
+    moved = (weight * (product.other_first + product.cosine * product.first_other)).sum(dim=1)
+    total = (weight * sine2).sum(dim=1)
+    return torch.where(total > 0, moved / total.clamp_min(torch.finfo(total.dtype).tiny), 0.0)
 
 
 def line_line_distance(lines: Lines, others: Lines, neighbors: Int[Tensor, "lines k"]) -> Float[Tensor, "lines k"]:

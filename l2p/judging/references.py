@@ -6,7 +6,7 @@ compare them. None of them is an attack: each is built from the true points.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,18 +15,26 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate
-from l2p.attacks.votes import member, vote
+from l2p.attacks.learned.learned import Learned
+from l2p.attacks.votes import least_squares, member, vote
 from l2p.checks import finite_rows
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
-from l2p.geometry.nearest import nearest_points_to_lines
+from l2p.geometry.nearest import Nearest, nearest_points_to_lines
 from l2p.geometry.pairs import feet
 from l2p.geometry.points import nearest_neighbors
 from l2p.judging.accuracy import SPACING_NEIGHBOR
+from l2p.maps.appearance import Appearance
+from l2p.work.shards import BLOCK
 from l2p.work.work import Work
 
 #: Kernel widths tried by the leave-one-out bound, in spacings.
 BANDWIDTHS = (0.125, 0.25, 0.5, 1.0)
+#: Powers of the likelihood ratio tried by the leave-one-out bound that sees appearance: the ratio is an estimate, and
+#: may be too bold or too timid.
+POWERS = (0.7, 1.0, 1.4, 2.0)
+#: Rules by which the oracle places a point among its neighbours' votes.
+RULES = ("peak", "least_squares")
 
 
 class Oracle(Attack):
@@ -42,17 +50,27 @@ class Oracle(Attack):
         Share of the k neighbours that is replaced by random lines, in [0, 1].
     seed : int
         Seed of the outliers.
+    rule : str
+        ``peak``: the peak of the votes, as in the attacks of l2p. ``least_squares``: the point of the line with the
+        least squared distance to the neighbours' lines, the rule of Chelani et al. (3DV 2025), which finds neighbours
+        by descriptors: an oracle of 25 or 100 neighbours, some of them wrong, stands for it.
 
     Notes
     -----
     It is not an upper bound for attacks: the nearest neighbours of a point reveal something about the point itself.
     """
 
-    def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 50, outliers: float = 0.0, seed: int = 0) -> None:
-        _check_number("k", k)
-        if not 0 <= outliers <= 1:
-            raise InputError(f"got outliers = {outliers}; expected a share in [0, 1]")
+    def __init__(
+        self,
+        points: Float[np.ndarray, "lines 3"],
+        k: int = 50,
+        outliers: float = 0.0,
+        seed: int = 0,
+        rule: str = RULES[0],
+    ) -> None:
+        check_oracle(k, outliers, rule)
         self.points, self.k, self.outliers, self.seed = finite_rows("points", points), k, outliers, seed
+        self.rule = rule
 
     def neighbors(self) -> Int[np.ndarray, "lines k"]:
         """Choose the neighbours, true ones and outliers."""
@@ -72,11 +90,13 @@ class Oracle(Attack):
         """Vote once with the true neighbours."""
         _check_count(state, self.points)
         neighbors = _in_order(self.neighbors(), state)[work.own(len(state))]
+        if self.rule == "least_squares":
+            return least_squares(state.lines, neighbors, work)
         return vote(state.lines, neighbors, work=work)
 
     def settings(self) -> dict[str, Any]:
-        """Return k, share of outliers and seed."""
-        return {"k": self.k, "outliers": self.outliers, "seed": self.seed}
+        """Return k, share of outliers, seed and rule."""
+        return {"k": self.k, "outliers": self.outliers, "seed": self.seed, "rule": self.rule}
 
 
 class CandidateOracle(Attack):
@@ -102,6 +122,10 @@ class CandidateOracle(Attack):
         self.points, self.attack = finite_rows("points", points), attack
         self.k, self.candidates = k, candidates
         self.rounds, self.columns, self.line_bytes = attack.rounds, attack.columns, attack.line_bytes
+
+    def uses(self, appearance: Appearance) -> tuple[str, ...]:
+        """Return the attributes that the attack uses."""
+        return self.attack.uses(appearance)
 
     def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> tuple[Elements, Any]:
         """Begin the attack."""
@@ -139,20 +163,41 @@ class LeaveOneOut(Attack):
     median error against the true points. It is a yardstick for attacks by geometry alone: only a better prior
     (surfaces, edges, local scale) can beat it.
 
+    With ``sees``, it is a yardstick for attacks that see appearance, too: the kernel of point j is multiplied by
+    exp(power s_ij), where s_ij is the log likelihood ratio that i and j, as they look, are neighbours
+    (:mod:`l2p.attacks.learned.embedding`). The power is one of ``POWERS``, chosen together with the width. Where
+    nothing is published that ``sees`` knows, the bound is that of geometry.
+
     Parameters
     ----------
     points : (lines, 3)
         The true points in the order of the lines.
     k : int
         Number of points nearest to the line that enter the density; farther ones have no effect in practice.
+    sees : Learned, optional
+        The learned attack whose embedding gives the likelihood ratio; default: geometry alone.
+
+    Raises
+    ------
+    InputError
+        If the network of ``sees`` does not use appearance.
     """
 
-    def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 128) -> None:
+    def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 128, sees: Learned | None = None) -> None:
         _check_number("k", k)
-        self.points, self.k = finite_rows("points", points), k
+        if sees is not None and not sees.network.config.appearance:
+            raise InputError(
+                f"got a bound that sees appearance by {sees.source.get('checkpoint', 'a network')}, which uses lines "
+                "alone; expected a checkpoint with the input likeness"
+            )
+        self.points, self.k, self.sees = finite_rows("points", points), k, sees
+
+    def uses(self, appearance: Appearance) -> tuple[str, ...]:
+        """Return the attributes that the embedding knows: colours, and descriptors of its kind."""
+        return () if self.sees is None else known_at_sight(self.sees, appearance)
 
     def finish(self, state: Elements, work: Work) -> Estimate:
-        """Find the mode of the density along each line, for the best of the kernel widths."""
+        """Find the mode of the density along each line, for the best of the kernel widths and powers."""
         _check_count(state, self.points)
         lines, frame = state.lines, state.frame
         points = self.points[state.row.cpu().numpy()]
@@ -162,42 +207,87 @@ class LeaveOneOut(Attack):
         unit = nearest_neighbors(points, SPACING_NEIGHBOR).distance[:, -1:]
         # One line, or points that coincide, have no scale: use the unit of the frame.
         scale = (float(np.median(unit)) / frame.unit if unit.size else 0.0) or 1.0
+        likeness, own = self._likeness(state, near.index, work), work.own(len(state))
         best, least = None, torch.inf
         with work.task("leave-one-out density", len(near.index) * len(BANDWIDTHS)) as advance:
             for width in BANDWIDTHS:
-                estimate = self._modes(lines.rows(work.own(len(state))), truth, near, width * scale, advance)
-                beta = work.gather(estimate.beta, len(state))
-                error = float((beta - true_beta).abs().median())
-                if error < least or best is None:
-                    best, least = estimate, error
+                for estimate in _modes(lines.rows(own), truth, near, likeness, width * scale, advance):
+                    beta = work.gather(estimate.beta, len(state))
+                    error = float((beta - true_beta).abs().median())
+                    if error < least or best is None:
+                        best, least = estimate, error
         assert best is not None
         return best
 
-    def _modes(self, lines: Lines, truth: Float[Tensor, "lines 3"], near: Any, width: float, advance: Any) -> Estimate:
-        count, k = near.index.shape
-        beta, share = lines.direction.new_zeros(count), lines.direction.new_zeros(count)
-        weight = torch.exp(-0.5 * (near.distance / width).square())
-        rows = max(1, (1 << 18) // max(k * k, 1))
-        for begin in range(0, count, rows):
-            here = slice(begin, min(begin + rows, count))
-            position = feet(lines.rows(here), truth, near.index[here]).beta
-            if k:
-                beta[here], share[here] = _mode(position, weight[here], width)
-            advance(here.stop - begin)
-        return Estimate(beta, share, near.index, weight)
+    def _likeness(self, state: Elements, index: Int[Tensor, "own k"], work: Work) -> Float[Tensor, "own k"] | None:
+        """Log likelihood ratios s_ij of this process's lines and the points near them; None if nothing is seen."""
+        if self.sees is None:
+            return None
+        self.sees.network.eval().to(state.row.device)
+        appearances: Any = self.sees.seen(state).attributes.get("appearance")
+        if appearances is None:
+            return None
+        row = torch.arange(len(state), device=index.device)[work.own(len(state))]
+        blocks = zip(row.split(BLOCK), index.clamp_min(0).split(BLOCK), strict=True)
+        return torch.cat([appearances.likeness(rows, others) for rows, others in blocks])
 
     def settings(self) -> dict[str, Any]:
-        """Return points per line and kernel widths."""
-        return {"k": self.k, "bandwidths": list(BANDWIDTHS)}
+        """Return points per line and kernel widths; and powers and the file of the embedding, if it sees anything."""
+        seen = {} if self.sees is None else {"powers": list(POWERS), **self.sees.source}
+        return {"k": self.k, "bandwidths": list(BANDWIDTHS), **seen}
+
+
+def known_at_sight(attack: Learned, appearance: Appearance) -> tuple[str, ...]:
+    """Attributes of a map that the embedding of a learned attack knows from its training, before it sees the map."""
+    known = {"rgb": True, "descriptor": appearance.descriptor_kind == attack.network.config.kind}
+    return tuple(name for name in appearance.names if known[name])
+
+
+def _modes(
+    lines: Lines,
+    truth: Float[Tensor, "points 3"],
+    near: Nearest,
+    likeness: Float[Tensor, "lines k"] | None,
+    width: float,
+    advance: Callable[[int], None],
+) -> list[Estimate]:
+    """Modes of the density along each line for a kernel width: one estimate for each of ``POWERS``, or a single one."""
+    count, k = near.index.shape
+    weights = _weights(near.distance, likeness, width)
+    beta, share = (lines.direction.new_zeros(len(weights), count) for _ in range(2))
+    rows = max(1, (1 << 18) // max(k * k, 1))
+    for begin in range(0, count, rows):
+        here = slice(begin, min(begin + rows, count))
+        position = feet(lines.rows(here), truth, near.index[here]).beta
+        if k:
+            apart = (position[:, :, None] - position[:, None, :]) / width
+            # Denormal numbers are slow: the kernel is at least e^-40.
+            kernel = torch.exp((-0.5 * apart.square()).clamp_min_(-40))
+            for number, weight in enumerate(weights):
+                beta[number, here], share[number, here] = _mode(position, kernel, weight[here], width)
+        advance(here.stop - here.start)
+    return [Estimate(beta[i], share[i], near.index, weight) for i, weight in enumerate(weights)]
+
+
+def _weights(
+    distance: Float[Tensor, "lines k"], likeness: Float[Tensor, "lines k"] | None, width: float
+) -> list[Float[Tensor, "lines k"]]:
+    """Kernels of the distances from the line; with a likeness, times exp(power likeness) up to a factor a line."""
+    level = -0.5 * (distance / width).square()
+    if likeness is None or not distance.shape[1]:
+        return [torch.exp(level)]
+    # The factor makes the largest weight 1: exp(power likeness) itself may overflow.
+    levels = [level + power * likeness for power in POWERS]
+    return [torch.exp(some - some.amax(dim=1, keepdim=True)).nan_to_num(nan=0.0) for some in levels]
 
 
 def _mode(
-    position: Float[Tensor, "lines k"], weight: Float[Tensor, "lines k"], width: float
+    position: Float[Tensor, "lines k"],
+    kernel: Float[Tensor, "lines k k"],
+    weight: Float[Tensor, "lines k"],
+    width: float,
 ) -> tuple[Float[Tensor, " lines"], Float[Tensor, " lines"]]:
     """Mode of the weighted kernel density, by mean shift from the densest position; and its share of the weight."""
-    apart = (position[:, :, None] - position[:, None, :]) / width
-    # Denormal numbers are slow: the kernel is at least e^-40.
-    kernel = torch.exp((-0.5 * apart.square()).clamp_min_(-40))
     density = torch.bmm(kernel, weight[:, :, None]).squeeze(-1)
     highest, top = density.max(dim=1)
     beta = torch.gather(position, 1, top[:, None])
@@ -212,6 +302,15 @@ def _in_order(neighbors: Int[np.ndarray, "lines k"], elements: Elements) -> Int[
     """Convert neighbours by rows of the map to neighbours in the order of the elements."""
     index = torch.as_tensor(neighbors, device=elements.row.device)
     return elements.row.argsort()[index[elements.row]]
+
+
+def check_oracle(k: int, outliers: float, rule: str) -> None:
+    """Refuse parameters that no :class:`Oracle` has."""
+    _check_number("k", k)
+    if not 0 <= outliers <= 1:
+        raise InputError(f"got outliers = {outliers}; expected a share in [0, 1]")
+    if rule not in RULES:
+        raise InputError(f"got rule {rule!r} of the oracle; expected {' or '.join(RULES)}")
 
 
 def _check_number(name: str, count: int) -> None:

@@ -17,6 +17,7 @@ from l2p.io.descriptors import BESIDE, with_descriptors
 from l2p.io.kinds import SCENES, kind_of
 from l2p.io.scene_files import load_scene
 from l2p.judging.accuracy import spacing
+from l2p.maps.appearance import Appearance
 from l2p.maps.scene import Scene
 from l2p.simulator import KINDS as SIMULATED
 from l2p.simulator import MAX_POINTS, MIN_POINTS, simulate
@@ -45,11 +46,21 @@ class SceneSource:
 
 @dataclass(frozen=True, eq=False)
 class Loaded:
-    """The points of a scene, their spacing (scene units) and a digest of their bytes."""
+    """The points of a scene, their spacing (scene units) and a digest of their bytes.
+
+    Attributes
+    ----------
+    appearance : Appearance
+        Colours and descriptors of the points, those that the scene has.
+    attributes : dict
+        Digest of the bytes of each, by name.
+    """
 
     xyz: Float[np.ndarray, "points 3"]
     spacing: float
     digest: str
+    appearance: Appearance
+    attributes: dict[str, str]
 
 
 def scenes_of(entries: Sequence[str], kinds: dict[str, str]) -> tuple[SceneSource, ...]:
@@ -75,9 +86,17 @@ def scenes_of(entries: Sequence[str], kinds: dict[str, str]) -> tuple[SceneSourc
 
 @lru_cache(maxsize=16)
 def load(source: str) -> Loaded:
-    """Read or simulate the points of a scene; the last results are cached."""
-    xyz = scene_at(source).xyz
-    return Loaded(xyz, spacing(xyz), hashlib.sha256(np.ascontiguousarray(xyz).tobytes()).hexdigest()[:16])
+    """Read or simulate the points of a scene and their appearance; the last results are cached."""
+    scene = scene_at(source)
+    appearance = scene.appearance
+    digests = {name: _digest(getattr(appearance, name)) for name in appearance.names}
+    if appearance.descriptor is not None:
+        digests["descriptor"] = f"{appearance.descriptor_kind} {digests['descriptor']}"
+    return Loaded(scene.xyz, spacing(scene.xyz), _digest(scene.xyz), appearance, digests)
+
+
+def _digest(values: np.ndarray) -> str:
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()[:16]
 
 
 def scene_at(source: str) -> Scene:

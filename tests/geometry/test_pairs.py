@@ -12,7 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
-from l2p.geometry.pairs import PARALLEL, closest_points, feet, line_line_distance, point_line_distance
+from l2p.geometry.pairs import (
+    PARALLEL,
+    closest_points,
+    feet,
+    least_squares_points,
+    line_line_distance,
+    point_line_distance,
+)
 from l2p.maps.lines import LineCloud
 
 seeds = st.integers(0, 2**32 - 1)
@@ -119,6 +126,77 @@ def test_votes_follow_a_similarity(seed, log_scale):
         line_line_distance(one, one, everyone(8)),
         atol=1e-11 / sine.min(),
     )
+
+
+def slow_least_squares(lines: Lines, neighbors: torch.Tensor, weight: torch.Tensor) -> list[float]:
+    """The mean of the closest points, weighted by sin^2 of the angle, pair by pair."""
+    found = []
+    for i, row in enumerate(neighbors.tolist()):
+        moved = total = 0.0
+        o, d = lines.foot[i].numpy(), lines.direction[i].numpy()
+        for slot, j in enumerate(row):
+            if j < 0:
+                continue
+            across = np.cross(d, lines.direction[j].numpy())
+            sine2 = across @ across
+            # The closest point of l_i to l_j, by the common perpendicular.
+            t = np.cross(lines.foot[j].numpy() - o, lines.direction[j].numpy()) @ across / sine2
+            moved, total = moved + float(weight[i, slot]) * sine2 * t, total + float(weight[i, slot]) * sine2
+        found.append(moved / total if total else 0.0)
+    return found
+
+
+@given(seeds)
+@few
+def test_least_squares_is_the_mean_of_the_votes_by_the_sine_of_their_angle(seed):
+    lines, neighbors = lines_of(*draw(seed)), everyone(8)
+    weight = torch.tensor(np.random.default_rng(seed).uniform(size=neighbors.shape))
+    neighbors[3, 2:5] = -1
+    neighbors[4] = -1
+    found = least_squares_points(lines, lines, neighbors, weight)
+    np.testing.assert_allclose(found, slow_least_squares(lines, neighbors, weight), rtol=1e-8, atol=1e-10)
+    assert found[4] == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_least_squares_is_where_a_search_along_the_line_finds_them(seed):
+    lines, neighbors = lines_of(*draw(seed, 6)), everyone(6)
+    found = least_squares_points(lines, lines, neighbors, torch.ones(6, 5).double())
+    for i in range(6):
+
+        def off(beta: float, i: int = i) -> float:
+            place = lines.foot[i].numpy() + beta * lines.direction[i].numpy()
+            apart = np.cross(place, lines.direction[neighbors[i]]) - lines.moment[neighbors[i]].numpy()
+            return float(np.square(apart).sum())
+
+        least = minimize_scalar(off, bounds=(-100, 100), method="bounded", options={"xatol": 1e-10})
+        assert found[i].item() == pytest.approx(least.x, abs=1e-5)  # type: ignore[attr-defined]
+
+
+@given(seeds, st.floats(-3, 3))
+@few
+def test_least_squares_follow_a_similarity_a_slide_and_a_flip(seed, log_scale):
+    point, direction = draw(seed)
+    rng = np.random.default_rng(seed)
+    scale, shift, sign = 10**log_scale, rng.normal(size=3), rng.choice([-1.0, 1.0], size=8)
+    turn = Rotation.from_rotvec(3 * rng.normal(size=3)).as_matrix()
+    slid = point + rng.normal(size=(8, 1)) * direction
+    one = lines_of(point, direction)
+    other = lines_of(scale * (slid @ turn.T + shift), sign[:, None] * direction @ turn.T)
+    weight = torch.ones(8, 7).double()
+    here, there = (lines.at(least_squares_points(lines, lines, everyone(8), weight)) for lines in (one, other))
+    _, sine = closest_places(one, everyone(8))
+    off = np.linalg.norm(there.numpy() / scale - shift - here.numpy() @ turn.T, axis=1)
+    assert (off * np.square(sine).sum(axis=1) < 1e-10).all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_least_squares_of_parallel_lines_is_the_foot(dtype):
+    point, direction = draw(0, 3)
+    direction[:] = direction[0]
+    lines = Lines(*(part.to(dtype) for part in lines_of(point, direction)))
+    assert (least_squares_points(lines, lines, everyone(3), torch.ones(3, 2, dtype=dtype)) == 0).all()
+    assert (least_squares_points(lines, lines, everyone(3)[:, :0], torch.ones(3, 0, dtype=dtype)) == 0).all()
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
