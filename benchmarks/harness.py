@@ -125,10 +125,11 @@ def _described(path: str, scene: l2p.Scene) -> l2p.Scene:
 
 def _saved(name: str, folder: Path, lines: l2p.LineCloud, truth: np.ndarray | None) -> Cloud:
     cloud = Cloud(folder / name, lines, truth)
-    arrays = {"direction": lines.direction, "moment": lines.moment}
+    arrays: dict[str, Any] = {"direction": lines.direction, "moment": lines.moment}
     arrays |= {each: getattr(lines, each) for each in lines.appearance.names}
-    kind = {} if lines.descriptor_kind is None else {"descriptor_kind": np.array(lines.descriptor_kind)}
-    np.savez(f"{cloud.path}.arrays.npz", **arrays, **kind)
+    if lines.descriptor_kind is not None:
+        arrays["descriptor_kind"] = np.array(lines.descriptor_kind)
+    np.savez(f"{cloud.path}.arrays.npz", **arrays)
     l2p.save(lines, f"{cloud.path}.npz")
     return cloud
 

@@ -43,6 +43,9 @@ facade, a street, or terrain seen by a drone.
 4. Observations get pixel noise; the point is their *least-squares* point, filtered as in COLMAP (4 pixels, 1.5
    degrees). So errors are long along the viewing rays. A few matches are wrong along the epipolar line: floaters.
 
+Points get the colour of their structure, and no descriptor: colours lack the texture that real neighbours share.
+`python -m train` therefore learns geometry alone from simulated scenes.
+
 ## Comparison with real models
 
 Written by `{{COMMAND}}`; every scene is in

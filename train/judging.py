@@ -31,10 +31,11 @@ def rounds_of(cloud: Cloud, attack: Learned) -> list[Judged]:
     """Judge a cloud after every round."""
     attack.network.eval()
     state, judged = cloud.state(), []
-    for number in range(attack.config.rounds):
+    last = attack.rounds_of(cloud.elements)
+    for number in range(last + 1):
         result = attack.judge(state)
         judged.append(Judged((result.estimates.beta - cloud.true_beta).abs() / cloud.spacing, result.found))
-        if number + 1 < attack.config.rounds:
+        if number < last:
             state = attack.next(state, result)
     return judged
 

@@ -145,7 +145,7 @@ class Pool:
         return self._entry(source, cloud, number, 0, cloud.state())
 
     def _after(self, entry: Entry) -> Entry:
-        if entry.round + 1 >= self.attack.config.rounds:
+        if entry.round >= self.attack.rounds_of(entry.cloud.elements):
             return self._fresh()
         estimates = Estimates(entry.beta, self.attack.passed_confidence(entry.found), entry.passed)
         state = self.attack.moved(entry.state, estimates)

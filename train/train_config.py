@@ -190,8 +190,9 @@ def _check(resolved: dict[str, Any]) -> None:
         raise InputError("got no val scenes; expected at least one, to calibrate the confidence")
     if resolved["max_lines"] < resolved["min_lines"]:
         raise InputError(f"got max_lines {resolved['max_lines']}; expected at least min_lines, {resolved['min_lines']}")
-    if resolved["learned"]["rounds"] < 1:
-        raise InputError(f"got {resolved['learned']['rounds']} learned.rounds; expected at least 1")
+    for name in ("rounds", "alike_rounds"):
+        if resolved["learned"][name] < 1:
+            raise InputError(f"got {resolved['learned'][name]} learned.{name}; expected at least 1")
     points = resolved["simulated_points"]
     if len(points) != 2 or not MIN_POINTS <= points[0] <= points[1] <= MAX_POINTS:
         raise InputError(

@@ -117,6 +117,10 @@ class Attack:
         """Return the names of the published attributes that the attack uses: none, if it uses geometry alone."""
         return ()
 
+    def rounds_of(self, elements: Elements) -> int:
+        """Return the number of calls of ``step`` for these lines; ``rounds`` by default."""
+        return self.rounds
+
     def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> Any:
         """Return the state before the first round, or after the last saved one.
 
@@ -150,7 +154,7 @@ def locate(attack: Attack, elements: Elements, work: Work) -> Estimate:
     """Run an attack from its last saved round to its end."""
     rounds, saved = work.resumed(attack.columns, elements.lines.direction[:, 0])
     state = attack.begin(elements, saved, work)
-    for number in range(rounds, attack.rounds):
+    for number in range(rounds, attack.rounds_of(elements)):
         state = attack.step(state, work)
         work.save(number + 1, attack.saved(state))
     return attack.finish(state, work)

@@ -121,11 +121,15 @@ class CandidateOracle(Attack):
         _check_number("candidates", candidates)
         self.points, self.attack = finite_rows("points", points), attack
         self.k, self.candidates = k, candidates
-        self.rounds, self.columns, self.line_bytes = attack.rounds, attack.columns, attack.line_bytes
+        self.columns, self.line_bytes = attack.columns, attack.line_bytes
 
     def uses(self, appearance: Appearance) -> tuple[str, ...]:
         """Return the attributes that the attack uses."""
         return self.attack.uses(appearance)
+
+    def rounds_of(self, elements: Elements) -> int:
+        """Return the rounds of the attack."""
+        return self.attack.rounds_of(elements)
 
     def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> tuple[Elements, Any]:
         """Begin the attack."""
@@ -224,7 +228,7 @@ class LeaveOneOut(Attack):
         if self.sees is None:
             return None
         self.sees.network.eval().to(state.row.device)
-        appearances: Any = self.sees.seen(state).attributes.get("appearance")
+        appearances: Any = self.sees.seen(state)[0].attributes.get("appearance")
         if appearances is None:
             return None
         row = torch.arange(len(state), device=index.device)[work.own(len(state))]

@@ -186,6 +186,7 @@ def _held_back(results: Any) -> list[Table]:
         ("scene", "scene", str),
         ("fraction of the points", "fraction", lambda value: f"{100 * value:g}%"),
         ("lines", "lines", str),
+        ("attacker knows", "known", str),
         ("median error by round (spacings)", "median", lambda value: f"{value:.3f}"),
         ("within 1 spacing by round", "within", lambda value: f"{value:.1%}"),
         ("most confident half within 1", "confident_half", lambda value: f"{value:.1%}"),

@@ -30,7 +30,9 @@ LENGTH = 16
 SIZES = NetworkConfig(
     width=8, heads=2, inputs=(*GEOMETRY, "likeness"), length=LENGTH, hidden=12, embedding=6, kind="sift"
 )
-CONFIG = LearnedConfig(rounds=2, candidates=10, alike=24, teaching=TeachingConfig(least=50, batch=64, passes=8.0))
+CONFIG = LearnedConfig(
+    rounds=2, alike_rounds=2, candidates=10, alike=24, teaching=TeachingConfig(least=50, batch=64, passes=8.0)
+)
 
 
 @pytest.fixture(scope="module")

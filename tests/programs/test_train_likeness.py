@@ -36,7 +36,7 @@ from train.training import EMBEDDINGS, train_all
 
 LENGTH = 12
 SIZES = NetworkConfig(width=8, heads=2, inputs=(*GEOMETRY, "likeness"), length=LENGTH, hidden=16, embedding=6)
-CONFIG = LearnedConfig(rounds=2, candidates=10, alike=16, teaching=TeachingConfig(least=50, batch=64))
+CONFIG = LearnedConfig(rounds=2, alike_rounds=2, candidates=10, alike=16, teaching=TeachingConfig(least=50, batch=64))
 SHORT = EmbeddingSettings(steps=60, batch=64, folds=2)
 ALL_INPUTS = f"network.inputs=[{','.join(SIZES.inputs)}]"
 
@@ -261,7 +261,7 @@ def run_settings(folder: Path, *more: str):
         f"maps=[{folder}]", f"val_maps=[{folder / 'ash.npz'}]", "simulated=1", "val=[]", "map_turns=1", ALL_INPUTS,
         f"network.length={LENGTH}", "network.hidden=16", "network.embedding=6", "embedding.steps=20",
         "embedding.batch=64", "embedding.folds=2", "learned.teaching.least=50", "learned.teaching.batch=64",
-        "learned.alike=20", *more,
+        "learned.alike=20", "learned.alike_rounds=3", *more,
     )  # fmt: skip
 
 

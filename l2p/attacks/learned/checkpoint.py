@@ -21,7 +21,7 @@ from torch import Tensor
 
 from l2p.attacks.learned.inputs import inputs_of
 from l2p.attacks.learned.inputs.family import Inputs
-from l2p.attacks.learned.learned import Calibrations, Learned, LearnedConfig, knowledges
+from l2p.attacks.learned.learned import Calibrations, Learned, LearnedConfig, knowledges, rounds_with
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.settings import LearnedSettings
 from l2p.checks import check_fraction
@@ -139,9 +139,10 @@ def load(path: str | PathLike[str], *, rounds: int | None = None, fraction: floa
     checkpoint = read(path)
     config = checkpoint.config
     if rounds is not None:
-        if not 0 <= rounds <= config.rounds:
-            raise InputError(f"got {rounds} rounds; expected 0 to {config.rounds}, those that {path} was trained for")
-        config = replace(config, rounds=rounds)
+        most = max(config.rounds, config.alike_rounds)
+        if not 0 <= rounds <= most:
+            raise InputError(f"got {rounds} rounds; expected 0 to {most}, those that {path} was trained for")
+        config = replace(config, rounds=min(rounds, config.rounds), alike_rounds=min(rounds, config.alike_rounds))
     source = {"checkpoint": Path(path).name, "digest": digest(path)}
     return Learned(checkpoint.network, config, checkpoint.calibration, fraction, checkpoint.inputs, source)
 
@@ -181,10 +182,10 @@ def _check_calibration(path: Path, calibration: Calibrations, size: NetworkConfi
     if set(calibration) != set(expected):
         raise InputError(f"{path} has calibrations of {', '.join(calibration)}; expected {', '.join(expected)}")
     for known, parts in calibration.items():
-        if len(parts) != config.rounds or any(len(part) != len(size.radii) for part in parts):
+        rounds = rounds_with(config, known)
+        if len(parts) != rounds or any(len(part) != len(size.radii) for part in parts):
             raise InputError(
-                f"{path} has {len(parts)} calibrations of {known} for {config.rounds} rounds; expected one a round and "
-                "radius"
+                f"{path} has {len(parts)} calibrations of {known} for {rounds} rounds; expected one a round and radius"
             )
 
 

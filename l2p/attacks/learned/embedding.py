@@ -101,10 +101,20 @@ def embedded(
             for begin in range(0, count, _BLOCK)
         ]
     )
+    return compared(vector, of)
+
+
+def compared(vector: Float[Tensor, "lines size"], of: tuple[str, ...]) -> Appearances:
+    """Compare the vectors of a map with each other."""
     # Lines are sorted by their coordinates, so every n-th is a fair sample.
-    some = vector[:: max(1, count // _BACKGROUND)]
+    some = vector[:: max(1, len(vector) // _BACKGROUND)]
     background = [torch.logsumexp(part @ some.T, dim=1) for part in vector.split(_BLOCK)]
     return Appearances(vector, torch.cat(background) - math.log(len(some)), of)
+
+
+def averaged(one: Appearances, other: Appearances) -> Appearances:
+    """Average the products f(u_i) . f(u_j) of two embeddings."""
+    return compared(torch.cat([one.vector, other.vector], dim=1) * 0.5**0.5, one.of)
 
 
 def unit(descriptor: Float[Tensor, "rows length"]) -> Float[Tensor, "rows length"]:

@@ -19,7 +19,7 @@ from torch import Tensor
 from l2p.attacks.attack import Attack, Elements, Estimate
 from l2p.attacks.learned.candidates import Candidates
 from l2p.attacks.learned.edges import Edges, edges_of
-from l2p.attacks.learned.embedding import OTHER, TAUGHT, Embedding, embedded, new_embedding
+from l2p.attacks.learned.embedding import OTHER, TAUGHT, Embedding, averaged, embedded, new_embedding
 from l2p.attacks.learned.inputs import inputs_of
 from l2p.attacks.learned.inputs.family import Inputs
 from l2p.attacks.learned.network import NOTHING, Judgement, LineTransformer, NetworkConfig
@@ -44,8 +44,8 @@ class LearnedConfig:
 
     Attributes
     ----------
-    rounds : int
-        Number of times that the network judges all lines.
+    rounds, alike_rounds : int
+        Number of times that the network judges all lines: lines alone, and with likeness, which moves estimates longer.
     candidates : int
         Candidates per line: the estimates nearest to it, in units of the square root of their local scale, so that
         neither dense nor sparse places along the line provide all candidates.
@@ -75,6 +75,7 @@ class LearnedConfig:
     """
 
     rounds: int = 3
+    alike_rounds: int = 4
     candidates: int = 32
     alike: int = 64
     liking: float = 0.2
@@ -88,7 +89,7 @@ class LearnedConfig:
     teaching: TeachingConfig = TeachingConfig()
 
     def __post_init__(self) -> None:
-        for name, least in (("rounds", 0), ("candidates", 1), ("settling", 0)):
+        for name, least in (("rounds", 0), ("alike_rounds", 0), ("candidates", 1), ("alike", 1), ("settling", 0)):
             value = getattr(self, name)
             if value < least:
                 raise InputError(f"got {name} {value} of the learned attack; expected at least {least}")
@@ -169,22 +170,23 @@ class Learned(Attack):
         self.network = network
         self.config = config or LearnedConfig()
         self.inputs = inputs_of(network.config.inputs) if inputs is None else tuple(inputs)
-        identity = [[(1.0, 0.0)] * len(network.config.radii)] * self.config.rounds
-        self.calibration = dict.fromkeys(knowledges(network.config), identity) if calibration is None else calibration
-        for known in knowledges(network.config):
+        identity = [(1.0, 0.0)] * len(network.config.radii)
+        rounds = {known: rounds_with(self.config, known) for known in knowledges(network.config)}
+        self.calibration = calibration or {known: [identity] * count for known, count in rounds.items()}
+        for known, wanted in rounds.items():
             count = len(self.calibration.get(known, ()))
-            if count < self.config.rounds:
-                raise InputError(
-                    f"got {count} calibrations of {known} for {self.config.rounds} rounds; expected as many"
-                )
+            if count < wanted:
+                raise InputError(f"got {count} calibrations of {known} for {wanted} rounds; expected as many")
         self.fraction, self.source = fraction, source or {}
         # Without rounds, the confidence comes from the tomography and only ranks.
         self.calibrated = self.config.rounds > 0
-        # The last round is in ``finish``: its estimates need no nodes.
-        self.rounds = max(0, self.config.rounds - 1)
         self.columns = {"beta": (), "confidence": (), "state": (network.config.state,)}
         # Measured by benchmarks/recover.py.
         self.line_bytes = max(TOMOGRAPHY_BYTES, 4000 + 40 * self.config.candidates)
+
+    def rounds_of(self, elements: Elements) -> int:
+        """Return the rounds but the last, which is in ``finish``: its estimates need no nodes."""
+        return max(0, self._rounds(elements) - 1)
 
     def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> State:
         """Reconstruct the posterior; the first estimates are its modes."""
@@ -208,7 +210,7 @@ class Learned(Attack):
     def finish(self, state: State, work: Work) -> Estimate:
         """Judge once more; without rounds, return the modes of the posterior."""
         own = work.own(len(state.elements))
-        if self.config.rounds:
+        if self._rounds(state.elements):
             last = self.judge(state, work)
             confidence = self.confidence(last, knowledge(state.elements))
             return Estimate(last.estimates.beta[own], confidence, last.candidates, last.affinity)
@@ -237,8 +239,7 @@ class Learned(Attack):
         ``embedding`` is the one that knows colours and the network's kind of descriptors; default: the network's own.
         It embeds what it knows; of other descriptors, a new embedding learns in the first lesson.
         """
-        config = self.network.config
-        published = elements.attributes if config.appearance else {}
+        config, published = self.network.config, self._usable(elements)
         if not published:
             return replace(elements, attributes={}), None
         embedding = embedding or self.network.embedding
@@ -257,9 +258,8 @@ class Learned(Attack):
         elements, nodes = state.elements, state.nodes
         if state.embedding is None:
             return state
-        published = {name: elements.attributes[name] for name in ATTRIBUTES if name in elements.attributes}
+        published, config = self._usable(elements), self.config.teaching
         fresh = "descriptor" in published and not self._knows(elements)
-        config = self.config.teaching
         if config.steps_of(len(nodes.beta), fresh) == 0:
             return state
         pupil = state.embedding
@@ -267,9 +267,22 @@ class Learned(Attack):
             pupil = taught(pupil, published, nodes.point, nodes.confidence, config, fresh, work)
         names = tuple(OTHER if fresh and name == "descriptor" else name for name in published)
         appearance = embedded(pupil, published, (*names, TAUGHT))
+        if not fresh:
+            # What the map teaches is not better than what is known of other maps; both are better than either.
+            appearance = averaged(appearance, embedded(state.embedding, published, names))
         vector, background = (work.shards.first(part) for part in (appearance.vector, appearance.background))
         attributes = {**elements.attributes, "appearance": appearance._replace(vector=vector, background=background)}
         return state._replace(elements=replace(elements, attributes=attributes))
+
+    def _usable(self, elements: Elements) -> dict[str, Tensor]:
+        """Published attributes that the network can use: descriptors of another kind need lines to learn from."""
+        names = ATTRIBUTES if self.network.config.appearance else ()
+        if not self._knows(elements) and self.config.teaching.steps_of(len(elements), True) == 0:
+            names = tuple(name for name in names if name != "descriptor")
+        return {name: elements.attributes[name] for name in names if name in elements.attributes}
+
+    def _rounds(self, elements: Elements) -> int:
+        return self.config.alike_rounds if self._usable(elements) else self.config.rounds
 
     def _knows(self, elements: Elements) -> bool:
         """Whether the network's embedding was trained for the descriptors of this map."""
@@ -354,7 +367,7 @@ class Learned(Attack):
 
     def confidence(self, result: Round, known: str) -> Float[Tensor, " own"]:
         """Calibrated probability that each point of the last round lies within 1 spacing of the map."""
-        calibration = result.found.new_tensor(self.calibration[known][self.config.rounds - 1])
+        calibration = result.found.new_tensor(self.calibration[known][rounds_with(self.config, known) - 1])
         logit = (calibration[:, 0] * result.found + calibration[:, 1]).cummax(dim=1).values
         log_radius = math.log(spacing_ratio(self.fraction, self.config.dimension))
         return torch.sigmoid(_between(logit, self.network.config.radii, log_radius))
@@ -371,6 +384,11 @@ def knowledges(config: NetworkConfig) -> tuple[str, ...]:
     if not config.appearance:
         return (LINES_ALONE,)
     return (LINES_ALONE, "rgb", "descriptor", "rgb+descriptor", OTHER, f"rgb+{OTHER}")
+
+
+def rounds_with(config: LearnedConfig, known: str) -> int:
+    """Rounds of an attack with this knowledge."""
+    return config.rounds if known == LINES_ALONE else config.alike_rounds
 
 
 def _check_length(attributes: Mapping[str, Tensor], length: int) -> None:
