@@ -49,7 +49,7 @@ def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "results": [{**result, "confident_half": 0.895, "calibration_error": 0.0213}],
     }
     path = tmp_path_factory.mktemp("checkpoint") / "tiny.safetensors"
-    calibration = [[(1.0, 0.0)] * len(NetworkConfig.radii)] * 2
+    calibration = {"lines": [[(1.0, 0.0)] * len(NetworkConfig.radii)] * 2}
     save(path, Checkpoint(network, LearnedConfig(rounds=2, candidates=16), calibration, facts))
     return path
 

@@ -8,7 +8,7 @@ from l2p.attacks.learned.inputs import GEOMETRY
 from l2p.attacks.learned.learned import Learned, LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 
-Calibration = list[list[tuple[float, float]]]
+Calibration = dict[str, list[list[tuple[float, float]]]]
 
 
 def learned(rounds: int = 2, calibration: Calibration | None = None, fraction: float = 1.0) -> Learned:

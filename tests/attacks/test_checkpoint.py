@@ -22,7 +22,7 @@ from l2p.errors import InputError
 from train import convert
 
 SIZE = NetworkConfig(width=8, layers=1, heads=2, finest=0.5)
-CONFIG = LearnedConfig(rounds=2, candidates=16)
+CONFIG = LearnedConfig(rounds=2, alike_rounds=2, candidates=16)
 RADII = SIZE.radii
 ROUNDS = [[(1.0 + radius, -0.1 * number) for radius in RADII] for number in range(2)]
 CALIBRATION = {"lines": ROUNDS}
@@ -65,7 +65,7 @@ def test_what_is_read_may_be_written_again(file: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("rounds", [0, 1, 2])
 def test_fewer_rounds_may_be_run(file: Path, rounds: int) -> None:
     learned = checkpoint.load(file, rounds=rounds, fraction=0.5)
-    assert learned.config == replace(CONFIG, rounds=rounds) and learned.fraction == 0.5
+    assert learned.config == replace(CONFIG, rounds=rounds, alike_rounds=rounds) and learned.fraction == 0.5
     assert learned.settings()["rounds"] == rounds
 
 
@@ -179,12 +179,15 @@ def test_a_checkpoint_of_format_4_is_converted(file: Path, tmp_path: Path, scene
     old, new, metadata = tmp_path / "old.safetensors", tmp_path / "new.safetensors", header(file)
     for part, names in {
         "network": ("kind", "length", "hidden", "embedding"),
-        "learned": ("alike", "liking", "teaching"),
+        "learned": ("alike_rounds", "alike", "liking", "teaching"),
     }.items():
         metadata[part] = json.dumps({k: v for k, v in json.loads(metadata[part]).items() if k not in names})
     save_file(load_file(file), old, {**metadata, "l2p_format": "4", "calibration": json.dumps(ROUNDS)})
     assert convert.main([str(old), str(new)]) == 0
-    assert header(new) == header(file)
+    written, wanted = header(new), header(file)
+    # Rounds with likeness are the default: the network has no input for it.
+    wanted["learned"] = json.dumps({**json.loads(wanted["learned"]), "alike_rounds": LearnedConfig.alike_rounds})
+    assert written == wanted
     lines = l2p.lift(scene_points[::10], seed=0)
     one, other = (run(lines, checkpoint.load(path)) for path in (file, new))
     np.testing.assert_array_equal(one.xyz, other.xyz)

@@ -282,7 +282,7 @@ def test_clouds_with_fewer_candidates_are_padded(network: LineTransformer, attac
     sample, rows = pool.draw(16)
     whole, begin = network(sample.edges), 0
     for entry, part in zip(pool.entries, rows, strict=True):
-        alone = entry.cloud.sample(attack, entry.nodes, entry.candidates, part)
+        alone = entry.cloud.sample(attack, entry.state, entry.candidates, part)
         k, here = alone.label.shape[1], slice(begin, begin + len(part))
         begin += len(part)
         assert not sample.edges.valid[here, k:].any()

@@ -124,6 +124,12 @@ def unit(descriptor: Float[Tensor, "rows length"]) -> Float[Tensor, "rows length
 
 def new_embedding(length: int, width: int, size: int) -> Embedding:
     """An embedding of descriptors of this length that knows nothing yet; always the same."""
-    with torch.random.fork_rng(devices=[]), torch.inference_mode(False):
-        torch.manual_seed(0)
-        return Embedding(length, width, size).requires_grad_(False)
+    draw = torch.Generator().manual_seed(0)
+    with torch.inference_mode(False):
+        embedding = Embedding(length, width, size).requires_grad_(False)
+        for layer in embedding.layers:
+            if isinstance(layer, nn.Linear):
+                bound = layer.in_features**-0.5
+                layer.weight.uniform_(-bound, bound, generator=draw)
+                layer.bias.uniform_(-bound, bound, generator=draw)
+    return embedding
