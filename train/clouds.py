@@ -24,7 +24,7 @@ from l2p.maps.appearance import UNKNOWN_KIND
 from l2p.maps.scene import Scene
 from l2p.programs.scenes import scene_at
 from l2p.schemes.hide import hide
-from train.likeness import Embeddings, observed, variance_of
+from train.infonce import Embeddings, observed, variance_of
 from train.losses import Sample, soft_labels
 
 #: Number of true neighbours whose distance is the local radius.

@@ -20,8 +20,8 @@ from torch.utils.data import DataLoader
 from l2p.attacks.learned.learned import Learned, LearnedConfig
 from l2p.attacks.learned.network import Judgement, LineTransformer
 from train.clouds import CloudSource, lifted
+from train.infonce import Embeddings
 from train.judging import rounds_of
-from train.likeness import Embeddings
 from train.losses import losses
 from train.pool import Pool
 from train.sources import Sources

@@ -21,7 +21,7 @@ from l2p.attacks.learned.learned import Learned, State
 from l2p.attacks.learned.network import Judgement
 from l2p.attacks.learned.nodes import Estimates, Nodes, nodes_of
 from train.clouds import Cloud, CloudSource, lifted
-from train.likeness import Embeddings
+from train.infonce import Embeddings
 from train.losses import Sample
 from train.sources import Sources
 
@@ -63,7 +63,7 @@ class Pool:
     rank, ranks : int
         Rank of this process, and number of ranks; each takes its own sources.
     embeddings : Embeddings, optional
-        For cross-fitted likeness (:mod:`train.likeness`).
+        For cross-fitted likeness (:mod:`train.infonce`).
     """
 
     def __init__(

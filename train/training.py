@@ -30,11 +30,11 @@ from l2p.io.atomic import atomic_file
 from l2p.judging.provenance import machine, versions
 from l2p.programs.commits import commit
 from l2p.work.progress import terminal_progress
-from train import likeness
+from train import infonce
 from train.clouds import CloudSource, lifted, read
+from train.infonce import Embeddings
 from train.judging import Judged, calibrate, figures, known_as, rounds_of
 from train.lightning_parts import AtomicCheckpoints, FigureTable
-from train.likeness import Embeddings
 from train.module import NetworkModule
 from train.sources import Sources, validation_sources
 from train.start import start_from
@@ -214,9 +214,9 @@ def _embeddings(
         scenes = {one.source: read(one.source) for one in sources.scenes if one.names}
         scenes |= {one.scene: read(one.scene) for one in held_back if one.known}
         seed, progress = settings.fit.seed, terminal_progress()
-        found = likeness.fitted(scenes, settings.network, settings.embedding, seed, progress)
-        likeness.save(found, file)
-    return likeness.load(file, settings.network)
+        found = infonce.fitted(scenes, settings.network, settings.embedding, seed, progress)
+        infonce.save(found, file)
+    return infonce.load(file, settings.network)
 
 
 def _sweep(folder: Path) -> None:

@@ -24,10 +24,10 @@ from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.learned.teaching import TeachingConfig
 from l2p.attacks.run import run
 from l2p.errors import InputError
-from train import likeness
+from train import infonce
 from train.clouds import CloudSource, lifted, read
+from train.infonce import Embeddings, EmbeddingSettings, fitted, fold_of, observed, variance_of
 from train.judging import known_as
-from train.likeness import Embeddings, EmbeddingSettings, fitted, fold_of, observed, variance_of
 from train.pool import Pool
 from train.sources import Sources, validation_sources
 from train.start import start_from
@@ -178,8 +178,8 @@ def test_neighbours_are_more_alike_also_on_another_map(embeddings: Embeddings, f
 
 
 def test_what_is_saved_is_loaded(embeddings: Embeddings, tmp_path: Path) -> None:
-    likeness.save(embeddings, tmp_path / "embeddings")
-    again = likeness.load(tmp_path / "embeddings", SIZES)
+    infonce.save(embeddings, tmp_path / "embeddings")
+    again = infonce.load(tmp_path / "embeddings", SIZES)
     assert len(again.folds) == 2
     for one, other in zip((embeddings.whole, *embeddings.folds), (again.whole, *again.folds), strict=True):
         assert all(torch.equal(a, b) for a, b in zip(one.parameters(), other.parameters(), strict=True))
@@ -273,7 +273,7 @@ def test_a_run_with_maps_ends_with_a_model_for_every_knowledge(folder: Path, tmp
     assert {row["known"] for row in found["results"]} == set(knowledges(attack.network.config))
     scenes = {name.split("/")[-1] for name in found["scenes"]}
     assert {"birch.npz", "cedar.npz", "dale.npz"} <= scenes and "ash.npz" not in scenes
-    whole = likeness.load(tmp_path / "run" / EMBEDDINGS, attack.network.config).whole
+    whole = infonce.load(tmp_path / "run" / EMBEDDINGS, attack.network.config).whole
     for one, other in zip(attack.network.embedding.parameters(), whole.parameters(), strict=True):
         assert torch.equal(one, other), "the embedding is not trained with the network"
     # Stopped and continued, it ends the same.
