@@ -20,7 +20,7 @@ import l2p
 
 FILE = Path(__file__).parent / "golden" / "recoveries.json"
 SCENES = {"room": ("room", 700, 5, 1.0), "half an object": ("object", 600, 6, 0.5)}
-METHODS = ("heuristic", "tomography", "learned")
+METHODS = ("heuristic", "tomography", "learned", "learned+rgb")
 #: Differences of figures that rounding alone may make: of the median error in spacings, and of the share within one.
 MEDIAN, SHARE = 0.1, 0.04
 
@@ -28,10 +28,11 @@ MEDIAN, SHARE = 0.1, 0.04
 def recovered(scene: str, method: str) -> dict[str, Any]:
     """Digest and figures of an attack."""
     kind, points, seed, fraction = SCENES[scene]
-    xyz = l2p.simulate(kind, points, seed).xyz
-    hidden = l2p.hide(xyz, seed=seed, fraction=fraction)
+    simulated = l2p.simulate(kind, points, seed)
+    xyz = simulated.xyz
+    hidden = l2p.hide(simulated, seed=seed, fraction=fraction, rgb=method.endswith("+rgb"))
     lines, index = hidden.map, hidden.truth.index
-    result = l2p.recover(lines, method=method)
+    result = l2p.recover(lines, method=method.split("+")[0])
     scores = l2p.evaluate(result, xyz[index])
     digest = hashlib.sha256()
     for column in (result.xyz, result.confidence, result.neighbors, result.affinity):
