@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import torch
 
+from l2p.attacks.attack import Elements
+from l2p.attacks.learned.embedding import TAUGHT
 from l2p.attacks.learned.inputs import GEOMETRY
 from l2p.attacks.learned.learned import Learned, LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
@@ -26,3 +28,9 @@ def seeing(kind: str = "sift", length: int = 128) -> Learned:
         size = NetworkConfig(width=8, layers=1, heads=2, inputs=(*GEOMETRY, "likeness"), kind=kind, length=length)
         network = LineTransformer(size)
     return Learned(network, LearnedConfig(rounds=2, candidates=16))
+
+
+def knowledge(elements: Elements) -> str:
+    """What the present likeness was computed from."""
+    appearance = elements.attributes.get("appearance")
+    return "lines" if appearance is None else "+".join(name for name in appearance.of if name != TAUGHT)

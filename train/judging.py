@@ -12,8 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from l2p.attacks.learned.embedding import OTHER
-from l2p.attacks.learned.learned import LINES_ALONE, Learned
+from l2p.attacks.learned.learned import Learned
 from l2p.judging.calibration import calibration_error
 from train.clouds import Cloud, CloudSource
 
@@ -72,18 +71,12 @@ def _platt(
     return float(np.exp(log_slope)), float(offset)
 
 
-def known_as(source: CloudSource) -> str:
-    """Knowledge of an attack on this cloud (:func:`l2p.attacks.learned.learned.knowledge`)."""
-    names = [OTHER if source.unknown and name == "descriptor" else name for name in source.known]
-    return "+".join(names) or LINES_ALONE
-
-
 def figures(
-    source: CloudSource, judged: Sequence[Judged], calibration: Sequence[tuple[float, float]], one: int
+    source: CloudSource, known: str, judged: Sequence[Judged], calibration: Sequence[tuple[float, float]], one: int
 ) -> dict[str, Any]:
     """Compute errors after every round, and figures of the calibrated confidence of the last one, for one cloud.
 
-    ``one`` is the index of the radius of 1 spacing.
+    ``known`` is the knowledge of the attack, ``one`` the index of the radius of 1 spacing.
     """
     error, found = judged[-1].error, judged[-1].found[:, one].double()
     slope, offset = calibration[one]
@@ -92,7 +85,7 @@ def figures(
     return {
         "scene": source.name,
         "fraction": source.fraction,
-        "known": known_as(source),
+        "known": known,
         "lines": len(error),
         "median": [round(float(part.error.median()), 4) for part in judged],
         "within": [round(float((part.error <= 1).float().mean()), 4) for part in judged],

@@ -23,7 +23,8 @@ from lightning.pytorch.utilities.exceptions import SIGTERMException
 
 from l2p.attacks.learned import checkpoint
 from l2p.attacks.learned.checkpoint import Checkpoint
-from l2p.attacks.learned.learned import LINES_ALONE, Learned, knowledges
+from l2p.attacks.learned.knowledge import LINES_ALONE, knowledges
+from l2p.attacks.learned.learned import Learned
 from l2p.attacks.learned.network import LineTransformer
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
@@ -33,7 +34,7 @@ from l2p.work.progress import terminal_progress
 from train import infonce
 from train.clouds import CloudSource, lifted, read
 from train.infonce import Embeddings
-from train.judging import Judged, calibrate, figures, known_as, rounds_of
+from train.judging import Judged, calibrate, figures, rounds_of
 from train.lightning_parts import AtomicCheckpoints, FigureTable
 from train.module import NetworkModule
 from train.sources import Sources, validation_sources
@@ -163,11 +164,13 @@ def _export(
     held_back = validation_sources(settings.data)
     attack = Learned(network, settings.learned)
     judged: list[list[Judged]] = []
+    names: list[str] = []
     with terminal_progress().task("held-back clouds", total=len(held_back)) as advance:
         for source in held_back:
-            judged.append(rounds_of(lifted(source, attack, embeddings), attack))
+            cloud = lifted(source, attack, embeddings)
+            judged.append(rounds_of(cloud, attack))
+            names.append(attack.knowledge(cloud.elements))
             advance(1)
-    names = [known_as(source) for source in held_back]
     calibration = {}
     for known in knowledges(network.config):
         # A run without such maps has nothing to calibrate it on; that of lines alone is closest.
@@ -176,7 +179,7 @@ def _export(
         rounds = cast("list[Sequence[Judged]]", list(zip(*own, strict=True)))
         calibration[known] = [calibrate(part, network.config.radii) for part in rounds]
     results = [
-        figures(source, part, calibration[name][-1], network.config.one)
+        figures(source, name, part, calibration[name][-1], network.config.one)
         for source, part, name in zip(held_back, judged, names, strict=True)
     ]
     for row in results:

@@ -370,7 +370,7 @@ def test_a_network_with_a_new_input_attacks_and_is_saved_with_its_constants(
         torch.manual_seed(0)
         network = LineTransformer(NetworkConfig(width=8, heads=2, inputs=(*GEOMETRY, "resemblance")))
     inputs: tuple[Any, ...] = (*inputs_of(GEOMETRY), Resemblance(least=0.25))
-    config, calibration = LearnedConfig(rounds=2), [[(1.0, 0.0)] * 5] * 2
+    config, calibration = LearnedConfig(rounds=2), {"lines": [[(1.0, 0.0)] * 5] * 2}
     checkpoint.save(tmp_path / "like.safetensors", Checkpoint(network, config, calibration, {}, inputs))
     attack = checkpoint.load(tmp_path / "like.safetensors")
     assert attack.inputs == inputs

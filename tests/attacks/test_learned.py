@@ -12,12 +12,12 @@ from tiny import learned as attack
 
 import l2p
 from l2p.attacks.attack import Elements
+from l2p.attacks.learned.knowledge import between_radii
 from l2p.attacks.learned.learned import (
     Learned,
     LearnedConfig,
     Round,
     State,
-    _between,
     relaxed,
     spacing_ratio,
     weighted_peak,
@@ -274,14 +274,14 @@ def test_the_spacing_of_a_map_follows_its_density() -> None:
 def test_between_two_radii_the_logit_is_between_theirs() -> None:
     logit = torch.randn(50, len(RADII), generator=torch.Generator().manual_seed(0)).cummax(dim=1).values
     for place, radius in enumerate(RADII):
-        torch.testing.assert_close(_between(logit, RADII, math.log(radius)), logit[:, place])
+        torch.testing.assert_close(between_radii(logit, RADII, math.log(radius)), logit[:, place])
     places = torch.linspace(math.log(RADII[0]), math.log(RADII[-1]), 40)
-    values = torch.stack([_between(logit, RADII, float(place)) for place in places], dim=1)
+    values = torch.stack([between_radii(logit, RADII, float(place)) for place in places], dim=1)
     assert (values.diff(dim=1) >= -1e-5).all()
 
 
 def test_below_the_smallest_radius_the_logit_goes_on_falling() -> None:
     logit = torch.arange(len(RADII)).float()[None] + torch.tensor([[0.0], [-3.0]])
-    one, other = (_between(logit, RADII, math.log(RADII[0]) - beyond) for beyond in (1.0, 2.0))
+    one, other = (between_radii(logit, RADII, math.log(RADII[0]) - beyond) for beyond in (1.0, 2.0))
     assert (one < logit[:, 0]).all() and (other < one).all()
     torch.testing.assert_close(other - logit[:, 0], 2 * (one - logit[:, 0]))

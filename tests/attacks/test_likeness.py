@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tiny import knowledge
 
 import l2p
 from l2p.attacks.attack import Elements
@@ -16,7 +17,8 @@ from l2p.attacks.learned.candidates import Candidates
 from l2p.attacks.learned.embedding import OTHER, SOURCES, TAUGHT, Appearances, Embedding, embedded, new_embedding
 from l2p.attacks.learned.inputs import GEOMETRY, inputs_of
 from l2p.attacks.learned.inputs.likeness import Likeness
-from l2p.attacks.learned.learned import Learned, LearnedConfig, State, knowledge, knowledges
+from l2p.attacks.learned.knowledge import knowledges
+from l2p.attacks.learned.learned import Learned, LearnedConfig, State
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.learned.teaching import TeachingConfig, contrast, taught
 from l2p.attacks.run import run

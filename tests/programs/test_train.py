@@ -103,10 +103,11 @@ def test_a_run_leaves_a_model_its_log_and_its_facts(trained: Path) -> None:
     assert {"command", "commit", "versions", "machine", "seed", "scenes", "config"} <= set(found)
     assert found["steps"] == 16 and found["processes"] == 1 and found["minutes"] < 5
     (result,) = found["results"]
-    assert {"scene", "fraction", "lines", "median", "within", "confident_half", "calibration_error"} == set(result)
+    figures = {"median", "within", "confident_half", "calibration_error"}
+    assert {"scene", "fraction", "known", "lines", *figures} == set(result) and result["known"] == "lines"
     assert len(result["median"]) == len(result["within"]) == 2
     whole = checkpoint.read(trained / "model.safetensors")
-    assert whole.facts == found and len(whole.calibration) == 2
+    assert whole.facts == found and len(whole.calibration["lines"]) == 2
     assert settings().resolved == found["config"]
     assert (trained / "config.yaml").is_file() and list(trained.glob("events.*"))
     assert not list(trained.rglob("*.part"))

@@ -15,10 +15,15 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
+from l2p.attacks.learned.embedding import Appearances
 from l2p.attacks.learned.nodes import Nodes
 from l2p.attacks.tomography.posterior import Posterior
 from l2p.geometry.elements import Lines, picked
+from l2p.geometry.nearest import Nearest
 from l2p.geometry.pairs import PARALLEL, point_line_distance
+
+#: Lines per block of the choice of candidates.
+_BLOCK = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,3 +161,21 @@ class Candidates:
         apart = self.foot - self.own(self.nodes.beta)
         skew = (apart.sign() * torch.log1p(apart.abs() / self.scale) * self.valid).sum(dim=1, keepdim=True)
         return torch.where(skew < 0, -1.0, 1.0)
+
+
+def most_alike(
+    near: Nearest, appearance: Appearances, count: int, liking: float, first: int
+) -> Int[Tensor, "own count"]:
+    """Choose ``count`` of the estimates near each line: those with the least distance times exp(-liking * likeness).
+
+    They stay in the order of their distances; row 0 is line ``first``.
+    """
+    chosen = torch.empty_like(near.index[:, :count])
+    for begin in range(0, len(chosen), _BLOCK):
+        index, distance = near.index[begin : begin + _BLOCK], near.distance[begin : begin + _BLOCK]
+        rows = torch.arange(first + begin, first + begin + len(index), device=index.device)
+        likeness = appearance.likeness(rows, index.clamp_min(0).long())
+        far = (distance.log() - liking * likeness).masked_fill_(index < 0, torch.inf)
+        best = far.topk(count, dim=1, largest=False, sorted=False).indices.sort(dim=1).values
+        chosen[begin : begin + len(index)] = index.gather(1, best)
+    return chosen

@@ -21,7 +21,8 @@ from torch import Tensor
 
 from l2p.attacks.learned.inputs import inputs_of
 from l2p.attacks.learned.inputs.family import Inputs
-from l2p.attacks.learned.learned import Calibrations, Learned, LearnedConfig, knowledges, rounds_with
+from l2p.attacks.learned.knowledge import Calibrations, knowledges
+from l2p.attacks.learned.learned import Learned, LearnedConfig, rounds_with
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.settings import LearnedSettings
 from l2p.checks import check_fraction
@@ -139,7 +140,7 @@ def load(path: str | PathLike[str], *, rounds: int | None = None, fraction: floa
     checkpoint = read(path)
     config = checkpoint.config
     if rounds is not None:
-        most = max(config.rounds, config.alike_rounds)
+        most = max(rounds_with(config, known) for known in knowledges(checkpoint.network.config))
         if not 0 <= rounds <= most:
             raise InputError(f"got {rounds} rounds; expected 0 to {most}, those that {path} was trained for")
         config = replace(config, rounds=min(rounds, config.rounds), alike_rounds=min(rounds, config.alike_rounds))

@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from l2p.errors import InputError
 from l2p.geometry.elements import picked
 from l2p.maps.appearance import ATTRIBUTES
 
@@ -133,3 +134,12 @@ def new_embedding(length: int, width: int, size: int) -> Embedding:
                 layer.weight.uniform_(-bound, bound, generator=draw)
                 layer.bias.uniform_(-bound, bound, generator=draw)
     return embedding
+
+
+def check_length(attributes: Mapping[str, Tensor], length: int) -> None:
+    """Refuse descriptors of another length than those of the checkpoint."""
+    if "descriptor" in attributes and attributes["descriptor"].shape[1] != length:
+        raise InputError(
+            f"got descriptors of length {attributes['descriptor'].shape[1]}; expected {length}, as in the checkpoint, "
+            "or leave them out (--ignore descriptor)"
+        )

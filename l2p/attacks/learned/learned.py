@@ -17,12 +17,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate
-from l2p.attacks.learned.candidates import Candidates
+from l2p.attacks.learned.candidates import Candidates, most_alike
 from l2p.attacks.learned.edges import Edges, edges_of
-from l2p.attacks.learned.embedding import OTHER, TAUGHT, Embedding, averaged, embedded, new_embedding
+from l2p.attacks.learned.embedding import OTHER, TAUGHT, Embedding, averaged, check_length, embedded, new_embedding
 from l2p.attacks.learned.inputs import inputs_of
 from l2p.attacks.learned.inputs.family import Inputs
-from l2p.attacks.learned.network import NOTHING, Judgement, LineTransformer, NetworkConfig
+from l2p.attacks.learned.knowledge import LINES_ALONE, Calibrations, between_radii, knowledges
+from l2p.attacks.learned.network import NOTHING, Judgement, LineTransformer
 from l2p.attacks.learned.nodes import Estimates, Nodes, NodesConfig, described, neighborhood, nodes_of
 from l2p.attacks.learned.teaching import TeachingConfig, taught
 from l2p.attacks.peak import PeakConfig, find_peak, settled
@@ -102,14 +103,6 @@ class LearnedConfig:
                 raise InputError(f"got {name} {getattr(self, name)} of the learned attack; expected more than 0")
 
 
-#: Lines per block of the choice of candidates.
-_CHOICE_BLOCK = 4096
-#: Knowledge of an attack that sees lines alone.
-LINES_ALONE = "lines"
-#: For each knowledge, round and radius, (a, b).
-Calibrations = Mapping[str, Sequence[Sequence[tuple[float, float]]]]
-
-
 class Round(NamedTuple):
     """Result of a round: estimates of all lines; candidates, affinities and logits of this process's lines.
 
@@ -142,8 +135,8 @@ class Learned(Attack):
     network : LineTransformer
     config : LearnedConfig, optional
     calibration : mapping, optional
-        For each knowledge (:func:`knowledge`), round and radius (a, b): sigmoid(a found + b) is the probability that
-        the error is within the radius. The confidence passed from round to round is uncalibrated.
+        For each knowledge (:mod:`l2p.attacks.learned.knowledge`), round and radius (a, b): sigmoid(a found + b) is the
+        probability that the error is within the radius. The confidence passed from round to round is uncalibrated.
     fraction : float
         Fraction of the map's points in the line cloud, as far as it is known. The confidence is that of lying within
         1 spacing of the *map*, which is smaller than that of a thinned cloud.
@@ -212,7 +205,7 @@ class Learned(Attack):
         own = work.own(len(state.elements))
         if self._rounds(state.elements):
             last = self.judge(state, work)
-            confidence = self.confidence(last, knowledge(state.elements))
+            confidence = self.confidence(last, self.knowledge(state.elements))
             return Estimate(last.estimates.beta[own], confidence, last.candidates, last.affinity)
         nodes, candidates = state.nodes, self.candidates(state, work)
         affinity = equal_weights(state.elements.lines, candidates)
@@ -246,7 +239,7 @@ class Learned(Attack):
         known = {name: value for name, value in published.items() if name != "descriptor" or self._knows(elements)}
         attributes: dict[str, Any] = dict(published)
         if known:
-            _check_length(known, config.length)
+            check_length(known, config.length)
             attributes["appearance"] = embedded(embedding, known, tuple(known))
         if len(known) < len(published):
             length = published["descriptor"].shape[1]
@@ -258,11 +251,10 @@ class Learned(Attack):
         elements, nodes = state.elements, state.nodes
         if state.embedding is None:
             return state
-        published, config = self._usable(elements), self.config.teaching
+        published, config, pupil = self._usable(elements), self.config.teaching, state.embedding
         fresh = "descriptor" in published and not self._knows(elements)
         if config.steps_of(len(nodes.beta), fresh) == 0:
             return state
-        pupil = state.embedding
         if work.shards.rank == 0:
             pupil = taught(pupil, published, nodes.point, nodes.confidence, config, fresh, work)
         names = tuple(OTHER if fresh and name == "descriptor" else name for name in published)
@@ -281,11 +273,15 @@ class Learned(Attack):
             names = tuple(name for name in names if name != "descriptor")
         return {name: elements.attributes[name] for name in names if name in elements.attributes}
 
+    def knowledge(self, elements: Elements) -> str:
+        """Name what the attack knows in its last round (:mod:`l2p.attacks.learned.knowledge`)."""
+        other = {} if self._knows(elements) else {"descriptor": OTHER}
+        return "+".join(other.get(name, name) for name in self._usable(elements)) or LINES_ALONE
+
     def _rounds(self, elements: Elements) -> int:
-        return self.config.alike_rounds if self._usable(elements) else self.config.rounds
+        return rounds_with(self.config, self.knowledge(elements))
 
     def _knows(self, elements: Elements) -> bool:
-        """Whether the network's embedding was trained for the descriptors of this map."""
         return elements.descriptor_kind == self.network.config.kind
 
     def first_nodes(self, lines: Lines, posterior: Posterior, work: Work = ALONE) -> Nodes:
@@ -306,16 +302,8 @@ class Learned(Attack):
         near = nearest_points_to_lines(lines, nodes.point, k, scale=nodes.scale.sqrt(), work=work)
         if appearance is None or near.index.shape[1] <= count:
             return near.index
-        chosen = torch.empty_like(near.index[:, :count])
         first = work.own(len(nodes.beta)).start
-        for begin in range(0, len(chosen), _CHOICE_BLOCK):
-            index, distance = near.index[begin : begin + _CHOICE_BLOCK], near.distance[begin : begin + _CHOICE_BLOCK]
-            rows = torch.arange(first + begin, first + begin + len(index), device=index.device)
-            likeness = appearance.likeness(rows, index.clamp_min(0).long())
-            far = (distance.log() - self.config.liking * likeness).masked_fill_(index < 0, torch.inf)
-            best = far.topk(count, dim=1, largest=False, sorted=False).indices.sort(dim=1).values
-            chosen[begin : begin + len(index)] = index.gather(1, best)
-        return chosen
+        return most_alike(near, appearance, count, self.config.liking, first)
 
     def edges(
         self, state: State, rows: Int[Tensor, " rows"], candidates: Int[Tensor, "rows k"], first: int = 0
@@ -370,33 +358,12 @@ class Learned(Attack):
         calibration = result.found.new_tensor(self.calibration[known][rounds_with(self.config, known) - 1])
         logit = (calibration[:, 0] * result.found + calibration[:, 1]).cummax(dim=1).values
         log_radius = math.log(spacing_ratio(self.fraction, self.config.dimension))
-        return torch.sigmoid(_between(logit, self.network.config.radii, log_radius))
-
-
-def knowledge(elements: Elements) -> str:
-    """Name what the likeness was computed from, such as ``rgb+descriptor``; ``lines`` if there is none."""
-    appearance = elements.attributes.get("appearance")
-    return LINES_ALONE if appearance is None else "+".join(name for name in appearance.of if name != TAUGHT)
-
-
-def knowledges(config: NetworkConfig) -> tuple[str, ...]:
-    """List all that a network can know."""
-    if not config.appearance:
-        return (LINES_ALONE,)
-    return (LINES_ALONE, "rgb", "descriptor", "rgb+descriptor", OTHER, f"rgb+{OTHER}")
+        return torch.sigmoid(between_radii(logit, self.network.config.radii, log_radius))
 
 
 def rounds_with(config: LearnedConfig, known: str) -> int:
-    """Rounds of an attack with this knowledge."""
+    """Return the rounds of an attack with this knowledge."""
     return config.rounds if known == LINES_ALONE else config.alike_rounds
-
-
-def _check_length(attributes: Mapping[str, Tensor], length: int) -> None:
-    if "descriptor" in attributes and attributes["descriptor"].shape[1] != length:
-        raise InputError(
-            f"got descriptors of length {attributes['descriptor'].shape[1]}; expected {length}, as in the checkpoint, "
-            "or leave them out (--ignore descriptor)"
-        )
 
 
 def judging_bytes(network: LineTransformer, k: int) -> float:
@@ -428,14 +395,3 @@ def spacing_ratio(fraction: float, dimension: float = LearnedConfig.dimension) -
     fifths of the true one. The effective dimension is more accurate (``benchmarks/spacing_ratio.py``).
     """
     return fraction ** (1 / dimension)
-
-
-def _between(logit: Float[Tensor, "lines radii"], radii: Sequence[float], log_radius: float) -> Float[Tensor, " lines"]:
-    """Interpolate the logit at a radius, linearly in the logarithm of the radius.
-
-    Below the smallest radius it is extrapolated: the probability falls to 0 with the radius.
-    """
-    known = [math.log(radius) for radius in radii]
-    after = min(max(sum(radius <= log_radius for radius in known), 1), len(known) - 1)
-    share = (log_radius - known[after - 1]) / (known[after] - known[after - 1])
-    return torch.lerp(logit[:, after - 1], logit[:, after], share)
