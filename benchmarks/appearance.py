@@ -23,10 +23,12 @@ from l2p.attacks.learned.teaching import TeachingConfig
 from l2p.attacks.named import named_attack
 from l2p.attacks.run import run
 from l2p.io.descriptors import load_described
-from l2p.judging.accuracy import spacing
+from l2p.judging.accuracy import errors, spacing
+from l2p.judging.measure import geometric_mean
+from l2p.maps import ATTRIBUTES
 from l2p.work.progress import terminal_progress
 
-BOTH = ("rgb", "descriptor")
+BOTH = ATTRIBUTES
 #: Changes by name: attributes that are seen, and settings of the attack.
 CHANGES: dict[str, tuple[tuple[str, ...], dict[str, object]]] = {
     "lines alone": ((), {}),
@@ -52,7 +54,7 @@ def trial(hidden: l2p.Hiding, unit: float, seen: tuple[str, ...], change: dict[s
     if settings.pop("kind", None):
         lines = replace(lines, descriptor_kind="unknown")
     attack.config = replace(attack.config, **settings)  # type: ignore[arg-type]
-    error = np.linalg.norm(run(lines, attack).xyz - hidden.truth.xyz, axis=1) / unit
+    error = errors(run(lines, attack), hidden.truth) / unit
     return float(np.mean(error > 1)), float(np.median(error))
 
 
@@ -72,10 +74,11 @@ def main() -> int:
     with terminal_progress().task("attacks", total=len(found) * len(given.models)) as advance:
         for model in given.models:
             scene = load_described(model)[0]
+            unit = spacing(scene.xyz)
             for fraction in given.fractions:
                 hidden = l2p.hide(scene, given.seed, fraction, rgb=True, descriptor=True)
                 for change in changes:
-                    result = trial(hidden, spacing(scene.xyz), *CHANGES[change])
+                    result = trial(hidden, unit, *CHANGES[change])
                     found[change, fraction].append(result)
                     print(model.name, fraction, change, *np.round(result, 4), sep="\t", file=sys.stderr, flush=True)
                     advance(1)
@@ -84,7 +87,7 @@ def main() -> int:
         heads += [f"{100 * fraction:g} %: wrong", "median"]
         base = np.array(found["lines alone", fraction])
         for row, change in zip(rows, changes, strict=True):
-            row += [f"{value:.3f}" for value in np.exp(np.log(np.array(found[change, fraction]) / base).mean(axis=0))]
+            row += [f"{geometric_mean(column):.3f}" for column in (np.array(found[change, fraction]) / base).T]
     print_table(f"{len(given.models)} maps, relative to lines alone", heads, rows)
     return 0
 

@@ -33,11 +33,11 @@ KINDS = ("orb", "akaze", "brisk", "sift")
 SIZE = 12.0
 
 
-def observations(model: Any, photographs: Path, kind: str, size: float) -> Iterable[tuple[int, int, np.ndarray]]:
-    """Point id, image id and descriptor of each observation that OpenCV can describe."""
+def observations(model: Any, photographs: Path, kind: str, size: float) -> Iterable[tuple[int, np.ndarray]]:
+    """Point id and descriptor of each observation that OpenCV can describe."""
     cv2 = opencv()
     maker = {"orb": cv2.ORB_create, "akaze": akaze, "brisk": cv2.BRISK_create, "sift": cv2.SIFT_create}[kind]()
-    for image_id, image in sorted(model.images.items()):
+    for _, image in sorted(model.images.items()):
         file = photographs / image.name
         grey = cv2.imread(str(file if file.is_file() else file.with_suffix(".jpg")), cv2.IMREAD_GRAYSCALE)
         if grey is None:
@@ -51,7 +51,7 @@ def observations(model: Any, photographs: Path, kind: str, size: float) -> Itera
         ]
         found, descriptor = maker.compute(grey, keypoints)
         for keypoint, row in zip(found, descriptor if descriptor is not None else [], strict=True):
-            yield seen[round(keypoint.response)].point3D_id, image_id, row
+            yield seen[round(keypoint.response)].point3D_id, row
 
 
 def opencv() -> Any:
@@ -71,7 +71,7 @@ def akaze() -> Any:
 def described(model: Any, photographs: Path, kind: str, size: float, single: bool) -> tuple[np.ndarray, np.ndarray]:
     """Ids of the points that were described, ascending, and their descriptors."""
     rows: dict[int, list[np.ndarray]] = {}
-    for point, _, row in observations(model, photographs, kind, size):
+    for point, row in observations(model, photographs, kind, size):
         rows.setdefault(point, []).append(row)
     ids = np.array(sorted(rows), dtype=np.int64)
     pick = (

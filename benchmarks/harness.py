@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 import l2p
-from l2p.io.descriptors import file_beside, load_described
+from l2p.programs.scenes import scene_at
 from l2p.work.resident import measured_peak, resident_gib
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -112,15 +112,8 @@ def from_file(path: str, folder: Path) -> Cloud:
     return _saved(
         Path(path).stem,
         folder,
-        *((thing, None) if isinstance(thing, l2p.LineCloud) else hidden(_described(path, thing))),
+        *((thing, None) if isinstance(thing, l2p.LineCloud) else hidden(scene_at(path))),
     )
-
-
-def _described(path: str, scene: l2p.Scene) -> l2p.Scene:
-    """Add the descriptors beside a COLMAP model, if there are any."""
-    if not Path(path).is_dir() or file_beside(path) is None:
-        return scene
-    return load_described(path)[0]
 
 
 def _saved(name: str, folder: Path, lines: l2p.LineCloud, truth: np.ndarray | None) -> Cloud:

@@ -280,14 +280,21 @@ def spacings_off(room: Room, recovery: l2p.Recovery) -> Float[np.ndarray, " line
     return errors(recovery.xyz, room.truth) / spacing(room.scene.xyz)
 
 
+def beside(
+    lines: l2p.LineCloud, points: Float[np.ndarray, "lines k 3"], unit: float
+) -> tuple[Float[np.ndarray, "lines k"], Float[np.ndarray, "lines k"]]:
+    """Positions of the feet of some points on each line, and their distances from it, in units."""
+    apart = points - lines.origin[:, None]
+    foot = np.einsum("nkd,nd->nk", apart, lines.direction) / unit
+    return foot, np.linalg.norm(apart / unit - foot[..., None] * lines.direction[:, None], axis=2)
+
+
 def draw_affinities(room: Room) -> None:
     """Draw one line that the first round corrects: its candidates, and their votes weighted by affinity."""
     before, after = learned(room, 0), learned(room, 1)
     assert after.neighbors is not None and after.affinity is not None
     lines, unit = room.lines, spacing(room.scene.xyz)
-    apart = before.xyz[np.maximum(after.neighbors, 0)] - lines.origin[:, None]
-    foot = np.einsum("nkd,nd->nk", apart, lines.direction) / unit
-    across = np.linalg.norm(apart / unit - foot[..., None] * lines.direction[:, None], axis=2)
+    foot, across = beside(lines, before.xyz[np.maximum(after.neighbors, 0)], unit)
     true, first, answer = (
         np.sum((points - lines.origin) * lines.direction, axis=1) / unit
         for points in (room.truth, before.xyz, after.xyz)
@@ -333,9 +340,7 @@ def draw_likeness(_: Room) -> None:
     alone, seen = l2p.recover(lines.without(["rgb", "descriptor"])), l2p.recover(lines)
     assert alone.affinity is not None and alone.neighbors is not None
     index = np.maximum(alone.neighbors, 0)
-    apart = alone.xyz[index] - lines.origin[:, None]
-    foot = np.einsum("nkd,nd->nk", apart, lines.direction) / unit
-    across = np.linalg.norm(apart / unit - foot[..., None] * lines.direction[:, None], axis=2)
+    foot, across = beside(lines, alone.xyz[index], unit)
     true, wrong, right = (
         np.sum((points - lines.origin) * lines.direction, axis=1) / unit for points in (truth, alone.xyz, seen.xyz)
     )

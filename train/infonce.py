@@ -22,7 +22,7 @@ from torch.nn import functional
 from l2p.attacks.attack import attributes_of
 from l2p.attacks.learned.embedding import Embedding
 from l2p.attacks.learned.network import NetworkConfig
-from l2p.attacks.learned.teaching import contrast
+from l2p.attacks.learned.teaching import contrast, descended
 from l2p.errors import InputError
 from l2p.geometry.points import nearest_neighbors
 from l2p.io.atomic import atomic_file
@@ -163,20 +163,13 @@ def _trained(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(rng.integers(1 << 31)))
         embedding = Embedding(config.length, config.hidden, config.embedding)
-    optimizer = torch.optim.AdamW(embedding.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, settings.learning_rate, settings.steps + 1, pct_start=_WARM
-    )
     weight = np.array([len(one.near) ** 0.5 * (_DESCRIBED if "descriptor" in one.attributes else 1) for one in maps])
-    for _ in range(settings.steps if len(maps) else 0):
-        one = maps[rng.choice(len(maps), p=weight / weight.sum())]
-        loss = lesson(embedding, one, settings.batch, rng, draw)
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
-        advance(1)
-    return embedding.requires_grad_(False).eval()
+
+    def step() -> Tensor:
+        return lesson(embedding, maps[rng.choice(len(maps), p=weight / weight.sum())], settings.batch, rng, draw)
+
+    steps = settings.steps if len(maps) else 0
+    return descended(embedding, step, steps, settings.learning_rate, settings.weight_decay, _WARM, advance)
 
 
 def lesson(

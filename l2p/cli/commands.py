@@ -36,13 +36,12 @@ if TYPE_CHECKING:
 
 def lift(arguments: Namespace) -> None:
     """Run ``l2p lift``."""
-    file = None if arguments.descriptors is True else arguments.descriptors
-    inputs = [arguments.scene] if file is None else [arguments.scene, file]
+    inputs = [path for path in (arguments.scene, arguments.descriptors or None) if path is not None]
     check_outputs(inputs, [arguments.output, arguments.truth], arguments.force)
     described = arguments.descriptors is not None
     asked = {"rgb": arguments.rgb, "descriptor": described}
     line_ending(arguments.output, [name for name, wanted in asked.items() if wanted])
-    scene, source = load_described(arguments.scene, file) if described else (load_scene(arguments.scene), None)
+    scene, source = _described_scene(arguments.scene, arguments.descriptors)
     if arguments.rgb and scene.rgb is None:
         raise InputError(f"{arguments.scene} has no colours; leave out --rgb")
     hidden = hide(scene, arguments.seed, arguments.fraction, arguments.scheme, arguments.rgb, described)
@@ -82,7 +81,7 @@ def audit(arguments: Namespace) -> None:
     lines_given = kind_of(arguments.scene) in LINE_CLOUDS
     if lines_given and arguments.descriptors is not None:
         raise InputError("got --descriptors for a line cloud; expected none, since its file has all that is published")
-    scene = load_lines(arguments.scene) if lines_given else _described_scene(arguments.scene, arguments.descriptors)
+    scene = load_lines(arguments.scene) if lines_given else _described_scene(arguments.scene, arguments.descriptors)[0]
     set_threads(arguments.threads)
     found = examine(
         scene,
@@ -116,11 +115,12 @@ def audit(arguments: Namespace) -> None:
         _open(Path(arguments.output) / PAGE)
 
 
-def _described_scene(path: str, descriptors: str | None) -> Scene:
-    """Read a scene and, unless ``descriptors`` is None, the descriptors of that file; empty: of the one beside it."""
-    if descriptors is None:
-        return load_scene(path)
-    return load_described(path, descriptors or None)[0]
+def _described_scene(path: str, descriptors: str | None) -> tuple[Scene, Path | None]:
+    """Read a scene and, unless ``descriptors`` is None, the descriptors of that file; empty: of the one beside it.
+
+    Return it with the file that the descriptors are from.
+    """
+    return (load_scene(path), None) if descriptors is None else load_described(path, descriptors or None)
 
 
 def _print_figures(audit: Audit) -> None:

@@ -114,7 +114,7 @@ def _add_lift(commands: Any) -> None:
     lift.add_argument(
         "--descriptors",
         nargs="?",
-        const=True,
+        const="",
         metavar="FILE",
         help="store the descriptors of the points, which help an attacker more: those of FILE (COLMAP's database.db, "
         "hloc's features, or npz), or, without FILE, those of an npz scene or found beside a COLMAP model",

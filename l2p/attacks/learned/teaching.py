@@ -19,6 +19,9 @@ from l2p.attacks.learned.embedding import Embedding
 from l2p.errors import InputError
 from l2p.work.work import ALONE, Work
 
+#: Share of the steps of a lesson in which the learning rate rises.
+_RISING = 0.1
+
 
 @dataclass(frozen=True)
 class TeachingConfig:
@@ -114,23 +117,43 @@ def _trained(
     count, neighbors = near.shape
     device = next(iter(attributes.values())).device
     learning = copy.deepcopy(embedding).requires_grad_(True)
-    optimizer = torch.optim.AdamW(learning.parameters(), lr=config.rate, weight_decay=config.decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, config.rate * (1 + fresh), steps + 1, pct_start=0.1)
     # The same lesson for the same lines.
     draw = torch.Generator().manual_seed(0)
-    for _ in range(steps):
+
+    def lesson() -> Tensor:
         first = torch.randint(count, (min(config.batch, count),), generator=draw)
         second = near[first, torch.randint(neighbors, (len(first),), generator=draw)]
         here, there = (
             learning({name: value[rows.to(device)] for name, value in attributes.items()}) for rows in (first, second)
         )
-        loss = contrast(here, there)
+        return contrast(here, there)
+
+    return descended(learning, lesson, steps, config.rate * (1 + fresh), config.decay, _RISING, advance)
+
+
+def descended(
+    embedding: Embedding,
+    lesson: Callable[[], Tensor],
+    steps: int,
+    rate: float,
+    decay: float,
+    rising: float,
+    advance: Callable[[int], None],
+) -> Embedding:
+    """Minimise the loss that ``lesson`` returns, by AdamW with one cycle of the learning rate; return it frozen.
+
+    ``rate`` is the largest learning rate, ``decay`` the weight decay, ``rising`` the share of steps to the largest.
+    """
+    optimizer = torch.optim.AdamW(embedding.parameters(), lr=rate, weight_decay=decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, steps + 1, pct_start=rising)
+    for _ in range(steps):
+        loss = lesson()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
         advance(1)
-    return learning.requires_grad_(False).eval()
+    return embedding.requires_grad_(False).eval()
 
 
 def contrast(here: Float[Tensor, "batch size"], there: Float[Tensor, "batch size"]) -> Float[Tensor, ""]:
