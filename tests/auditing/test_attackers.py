@@ -63,7 +63,10 @@ def test_all_attackers_attack_the_same_lines(scene: l2p.Scene, found: l2p.Audit)
 
 def test_who_sees_more_recovers_more(found: l2p.Audit, scene: l2p.Scene) -> None:
     for fraction in found.fractions:
-        shares = [trial.within for trial in found.trials if trial.fraction == fraction]
+        shares = [
+            trial.scores.within_spacings["1"] for trial in found.trials if trial.fraction == fraction and trial.scores
+        ]
+        assert len(shares) == len(found.attackers)
         assert shares == sorted(shares, reverse=True) and shares[0] > shares[-1]
     only = l2p.audit(replace(scene, descriptor=None, descriptor_kind=None), [1], seed=2, method=SEES)
     assert [trial.scores for trial in only.trials] == [found.without(DESCRIPTOR).scores, found.trials[3].scores]
@@ -121,6 +124,7 @@ def told(found: l2p.Audit, shares: dict[tuple[str, ...], float]) -> l2p.Audit:
             scores = Scores(trial.scores.figures | {"within_1": within, "confident_half": within})
             trials.append(replace(trial, scores=scores))
         else:
+            assert trial.prediction is not None
             trials.append(replace(trial, prediction=replace(trial.prediction, within_spacing=within)))
     return replace(found, trials=tuple(trials))
 

@@ -123,6 +123,7 @@ SHARES = "points within 1 spacing"
 
 def test_attackers_are_compared_in_words_and_a_table(tmp_path, capsys):
     scene = telling_scene()
+    assert scene.rgb is not None and scene.descriptor is not None
     np.savez(tmp_path / "scene.npz", xyz=scene.xyz, rgb=scene.rgb, descriptor=scene.descriptor, descriptor_kind="toy")
     words = ("audit", tmp_path / "scene.npz", "--method", SEES, "--fractions", 1, 0.5, "-o")
     assert run(*words, tmp_path / "all") == 0
@@ -146,6 +147,7 @@ def test_descriptors_come_from_a_file_or_from_beside_the_model(files, tmp_path, 
     model = tmp_path / "model"
     shutil.copytree(files / "model", model)
     ids = l2p.load(model, l2p.Scene).ids
+    assert ids is not None
     np.savez(tmp_path / "own.npz", point3D_id=ids, descriptor=np.ones((len(ids), 3), np.float32))
     words = ("audit", model, "--method", SEES, "--fractions", 1, "--force", "-o", tmp_path / "report")
     assert run(*words, "--descriptors") == 2

@@ -158,7 +158,8 @@ def test_figures_are_those_of_the_calibrated_last_round() -> None:
         Judged(torch.tensor([4.0, 0.2, 3.0, 0.1]), torch.zeros(4, len(RADII))),
         Judged(torch.tensor([0.2, 0.4, 3.0, 9.0]), torch.tensor([2.0, -1.0, 1.0, -1.0])[:, None].repeat(1, len(RADII))),
     ]
-    found = figures(CloudSource("sim:room:150:0", 0.5, 0), rounds, [(2.0, 1.0)] * len(RADII), ONE)
+    found = figures(CloudSource("sim:room:150:0", 0.5, 0), "lines", rounds, [(2.0, 1.0)] * len(RADII), ONE)
+    assert found["known"] == "lines"
     assert found["lines"] == 4 and found["fraction"] == 0.5
     assert found["median"] == [0.2, 0.4] and found["within"] == [0.5, 0.5]
     assert found["confident_half"] == 0.5, "of the first and the third line"

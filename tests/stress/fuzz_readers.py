@@ -172,9 +172,8 @@ def _write_checkpoint(root: Path) -> None:
         network = LineTransformer(NetworkConfig(width=2, layers=1, heads=1))
     result = {"scene": "room", "fraction": 0.5, "lines": 9, "median": [0.4], "within": [0.6]}
     facts = {"commit": "0123abcd", "seed": 1, "steps": 3, "minutes": 1.5, "scenes": ["room"], "results": [result]}
-    whole = checkpoint.Checkpoint(
-        network, LearnedConfig(rounds=1, candidates=4), [[(1.0, 0.0)] * len(NetworkConfig.radii)], facts
-    )
+    calibration = {"lines": [[(1.0, 0.0)] * len(NetworkConfig.radii)]}
+    whole = checkpoint.Checkpoint(network, LearnedConfig(rounds=1, candidates=4), calibration, facts)
     checkpoint.save(root / "model.safetensors", whole)
 
 
