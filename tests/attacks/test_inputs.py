@@ -378,6 +378,7 @@ def test_a_network_with_a_new_input_attacks_and_is_saved_with_its_constants(
     with_colors, without = (run(l2p.lift(scene_points, seed=0, rgb=colors), attack) for colors in (rgb, None))
     assert np.isfinite(with_colors.xyz).all() and np.isfinite(without.xyz).all()
     assert not np.array_equal(with_colors.xyz, without.xyz)
+    assert (with_colors.info["used"], without.info["used"]) == (["rgb"], [])
 
 
 @pytest.mark.parametrize(

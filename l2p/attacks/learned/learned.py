@@ -223,8 +223,9 @@ class Learned(Attack):
     # Parts of a round
 
     def uses(self, appearance: Appearance) -> tuple[str, ...]:
-        """Return all attributes, if the network has an input for them."""
-        return appearance.names if self.network.config.appearance else ()
+        """Return the attributes that an input of the network needs; likeness takes all."""
+        needed = {name for family in self.inputs for name in family.needs}
+        return tuple(name for name in appearance.names if self.network.config.appearance or name in needed)
 
     def seen(self, elements: Elements, embedding: Embedding | None = None) -> tuple[Elements, Embedding | None]:
         """Add the appearances of the lines before any lesson, and return the embedding to be taught.
@@ -234,10 +235,10 @@ class Learned(Attack):
         """
         config, published = self.network.config, self._usable(elements)
         if not published:
-            return replace(elements, attributes={}), None
+            return elements, None
         embedding = embedding or self.network.embedding
         known = {name: value for name, value in published.items() if name != "descriptor" or self._knows(elements)}
-        attributes: dict[str, Any] = dict(published)
+        attributes = dict(elements.attributes)
         if known:
             check_length(known, config.length)
             attributes["appearance"] = embedded(embedding, known, tuple(known))
