@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from l2p.cli.flags import settings_of
+from l2p.cli.localize import localize as localize
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
 from l2p.cli.recover import recover as recover
 from l2p.errors import InputError

@@ -15,6 +15,8 @@ from l2p.judging import CLEANING
 from l2p.maps import ATTRIBUTES
 from l2p.schemes.scheme import DEFAULT_SCHEME, SCHEMES
 from l2p.show.page import MOST_POINTS
+from l2p.utility import BY_TRACKS, MATCHING, POINTS, WRONG
+from l2p.utility import FRACTIONS as LOCALIZED_FRACTIONS
 from l2p.version import __version__
 from l2p.work.memory import SHARE
 
@@ -72,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="l2p", description="Lift points to lines, and recover the points behind a line cloud.")
     parser.add_argument("--version", action="version", version=f"l2p {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_add_lift, _add_recover, _add_evaluate, _add_audit, _add_view, _add_info, _add_demo):
+    for add in (_add_lift, _add_recover, _add_evaluate, _add_localize, _add_audit, _add_view, _add_info, _add_demo):
         add(commands)
     return parser
 
@@ -188,6 +190,66 @@ def _add_evaluate(commands: Any) -> None:
     evaluate.add_argument("--metric", action="store_true", help="the scene is in metres: also count within 1 to 50 cm")
     _add_json(evaluate, "FILE", "the figures")
     _add_force(evaluate)
+
+
+def _add_localize(commands: Any) -> None:
+    localize = _command(commands, "localize", "tell how well the images of a model are localized in what is published")
+    localize.add_argument("scene", metavar="MODEL", help="COLMAP model folder with images and observations")
+    localize.add_argument(
+        "--scheme",
+        dest="schemes",
+        nargs="+",
+        choices=(POINTS, *SCHEMES),
+        default=(POINTS, DEFAULT_SCHEME),
+        help="ways to publish: points as they are, or hidden by a scheme (default: points and "
+        f"{DEFAULT_SCHEME}); the points are the same for all",
+    )
+    localize.add_argument(
+        "--fractions",
+        type=float,
+        nargs="+",
+        default=LOCALIZED_FRACTIONS,
+        metavar="F",
+        help="fractions of the points to publish, in (0, 1] "
+        f"(default: {' '.join(f'{share:g}' for share in LOCALIZED_FRACTIONS)})",
+    )
+    localize.add_argument(
+        "--matches",
+        choices=MATCHING,
+        default=BY_TRACKS,
+        help="by the tracks of the model, with a share of wrong ones, or by descriptors (default: %(default)s)",
+    )
+    localize.add_argument(
+        "--wrong",
+        type=float,
+        nargs="+",
+        default=(WRONG,),
+        metavar="W",
+        help=f"shares of wrong matches among those by tracks, in [0, 1) (default: {WRONG:g})",
+    )
+    localize.add_argument(
+        "--features",
+        metavar="FILE",
+        help="features of the images, for matches by descriptors: COLMAP's database.db or hloc's (default: those found "
+        "beside the model)",
+    )
+    localize.add_argument(
+        "--gravity",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="direction of gravity in the map, if the cameras know it: fewer matches then make a pose",
+    )
+    localize.add_argument("--queries", type=int, metavar="N", help="most images to localize (default: all)")
+    localize.add_argument(
+        "--metric", action="store_true", help="the map is in metres: count within 0.25 m and 2 deg ..."
+    )
+    localize.add_argument(
+        "--seed", type=_seed, default=0, metavar="S", help="seed of the releases and samples (default: %(default)s)"
+    )
+    _add_json(localize, "FILE", "the figures")
+    localize.add_argument("--csv", metavar="FILE", help="write every query of every release as CSV")
+    _add_force(localize)
 
 
 def _add_audit(commands: Any) -> None:

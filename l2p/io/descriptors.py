@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -16,7 +18,7 @@ from l2p.io.colmap import read_model, scene_of_model
 from l2p.io.kinds import Kind, kind_of
 from l2p.io.npz import Fields
 from l2p.io.scene_files import checked_scene, load_scene
-from l2p.io.track_means import mean_over_tracks
+from l2p.io.track_means import Features, mean_over_tracks
 from l2p.maps.appearance import SIFT
 from l2p.maps.scene import Scene
 
@@ -32,6 +34,7 @@ DATABASE = "database.db"
 # First bytes of SQLite and HDF5 files.
 _SQLITE, _HDF5 = b"SQLite format 3\0", b"\x89HDF\r\n\x1a\n"
 
+_OF_IMAGES = f"expected COLMAP's {DATABASE} or hloc's features (h5)"
 _EXPECTED = f"expected an npz with point3D_id and descriptor, COLMAP's {DATABASE} or hloc's features (h5)"
 
 
@@ -114,8 +117,12 @@ def file_beside(model_path: str | PathLike[str]) -> Path | None:
         If a database is damaged, a folder has several files of features, or h5py is missing to read the only ones.
     """
     folder = Path(os.path.abspath(model_path))
-    if (folder / BESIDE).is_file():
-        return folder / BESIDE
+    return folder / BESIDE if (folder / BESIDE).is_file() else features_beside(model_path)
+
+
+def features_beside(model_path: str | PathLike[str]) -> Path | None:
+    """Find the features of the images of a COLMAP model, as :func:`file_beside` does; None if there are none."""
+    folder = Path(os.path.abspath(model_path))
     folders = [folder, *folder.parents][:3]
     for files in ([each / DATABASE] for each in folders):
         found = _with_features(files)
@@ -128,6 +135,32 @@ def file_beside(model_path: str | PathLike[str]) -> Path | None:
         if found:
             return found[0]
     return None
+
+
+@contextmanager
+def opened_features(model_path: str | PathLike[str], source: str | PathLike[str] | None) -> Iterator[Features]:
+    """Open the features of the images of a COLMAP model.
+
+    Parameters
+    ----------
+    source : path, optional
+        COLMAP's ``database.db`` or hloc's features; None searches beside the model (:func:`features_beside`).
+
+    Raises
+    ------
+    FileNotFoundError, InputError
+        If there are none, or the file is something else.
+    """
+    path = features_beside(model_path) if source is None else Path(source)
+    if path is None:
+        raise InputError(f"{model_path} has no features of its images in its folder or two above; {_OF_IMAGES}")
+    if not path.exists():
+        raise FileNotFoundError(f"{path} does not exist; {_OF_IMAGES}")
+    opened = _opened(path, _head(path)) if path.is_file() else None
+    if opened is None:
+        raise InputError(f"{path} has no features of images; {_OF_IMAGES}")
+    with opened as features:
+        yield features
 
 
 def _with_features(files: list[Path]) -> list[Path]:

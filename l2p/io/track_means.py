@@ -149,6 +149,28 @@ def observations(model: Any, ids: Int[np.ndarray, " points"]) -> list[Seen]:
     return seen
 
 
+def keypoint_descriptors(seen: Seen, features: Features) -> tuple[Num[np.ndarray, "rows length"], bool] | None:
+    """Descriptors of one image, each by itself.
+
+    Returns
+    -------
+    (rows, length) and bool, or None
+        Descriptors of all keypoints of the image in the model, and True; where the model has dropped keypoints that the
+        features have, those of the observations, and False. None if the features lack the image.
+
+    Raises
+    ------
+    InputError
+        If the features are not those of the model.
+    """
+    found = features.of_image(seen.name)
+    if found is None:
+        return None
+    keypoint, _ = _keypoints(seen, found, features.path)
+    whole = keypoint is seen.keypoint
+    return (found.descriptor if whole else found.descriptor[keypoint]), whole
+
+
 def _add_all(
     means: _Means, images: list[Seen], features: Features, wanted: Bool[np.ndarray, " points"], *, certain: bool
 ) -> int:

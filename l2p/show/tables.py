@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -23,6 +24,7 @@ from l2p.io.scene_files import load_scene, load_truth
 from l2p.judging.measure import Form, figures
 from l2p.judging.scores import Scores
 from l2p.maps.appearance import Appearance
+from l2p.utility.localization import Localization
 
 if TYPE_CHECKING:
     from l2p.attacks.learned.checkpoint import Checkpoint
@@ -51,6 +53,26 @@ def print_shares(rows: dict[str, list[float]], columns: list[str]) -> None:
     table = Table("attacker sees", *columns, title="points within 1 spacing")
     for attacker, shares in rows.items():
         table.add_row(attacker, *(f"{share:.1%}" for share in shares))
+    console().print(table)
+
+
+def print_localization(found: Localization) -> None:
+    """Print the figures of each release to stdout."""
+    unit = "m" if found.metric else "% of extent"
+    heads = ["published", "share", "wrong matches", "matches", f"position ({unit})", "rotation (deg)"]
+    title = f"median errors of {len(found.trials[0].attempts)} queries"
+    table = Table(*heads, *(f"within {limit}" for limit in found.limits), "s / query", title=title)
+    for trial in found.trials:
+        position = trial.position if found.metric else 100 * trial.position / found.extent
+        table.add_row(
+            trial.scheme,
+            f"{100 * trial.fraction:g} %",
+            "-" if trial.wrong is None else f"{100 * trial.wrong:g} %",
+            f"{trial.matches:.0f}",
+            *("not found" if math.isinf(value) else f"{value:.3g}" for value in (position, trial.rotation)),
+            *(f"{trial.within(limit, found.extent):.0%}" for limit in found.limits),
+            f"{trial.seconds:.2f}",
+        )
     console().print(table)
 
 

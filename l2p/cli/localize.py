@@ -1,0 +1,52 @@
+"""Command ``l2p localize``: how well the images of a model are localized in releases of its map."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from argparse import Namespace
+from contextlib import ExitStack
+
+from l2p.cli.outputs import check_outputs, figures_file, file_of
+from l2p.io.atomic import atomic_file
+from l2p.show.tables import print_localization
+from l2p.utility.localization import Localization
+from l2p.work.progress import terminal_progress
+
+
+def localize(arguments: Namespace) -> None:
+    """Run ``l2p localize``."""
+    from l2p.utility.localize import localize as localized
+
+    inputs = [path for path in (arguments.scene, arguments.features) if path is not None]
+    check_outputs(inputs, [file_of(arguments.json), arguments.csv], arguments.force)
+    found = localized(
+        arguments.scene,
+        arguments.schemes,
+        arguments.fractions,
+        matching=arguments.matches,
+        wrong=arguments.wrong,
+        features=arguments.features,
+        most_queries=arguments.queries,
+        gravity=None if arguments.gravity is None else tuple(arguments.gravity),
+        metric=arguments.metric,
+        seed=arguments.seed,
+        progress=terminal_progress(),
+        name=os.fsencode(arguments.scene).decode("utf-8", errors="replace"),
+    )
+    with ExitStack() as stack:
+        if arguments.csv is not None:
+            stack.enter_context(atomic_file(arguments.csv, overwrite=arguments.force)).write(_table(found))
+        stack.enter_context(figures_file(arguments, found.as_dict()))
+    if arguments.json != "-":
+        print_localization(found)
+
+
+def _table(found: Localization) -> bytes:
+    """Every query of every release as CSV."""
+    rows, text = found.rows(), io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue().encode("utf-8")

@@ -1,0 +1,267 @@
+"""Landmarks: what a map publishes in place of its points, and how a camera's pose follows from them.
+
+A kind of landmark gives the poses of a minimal sample of matches (by poselib), the residuals of poses, and the
+linearised residuals of one. Everything is computed in a frame of the landmarks, their centre and a unit of their size,
+so that neither the position nor the scale of a map costs digits.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from l2p.errors import InputError
+from l2p.geometry.frame import Frame
+from l2p.maps.lines import LineCloud
+from l2p.utility.queries import Pose
+
+#: Distance of a line's origin from its foot, in units of the frame. poselib's six-point solver drops poses with a point
+#: behind the origin of its line, so all points have to be in front of it.
+_REACH = 100.0
+#: The axis that poselib's upright solvers take for gravity.
+_UPRIGHT = np.array([0.0, 1.0, 0.0])
+
+Poses = Float[np.ndarray, "poses 3 4"]
+
+
+@runtime_checkable
+class Landmarks(Protocol):
+    """Published landmarks, in the order of a map's rows.
+
+    Attributes
+    ----------
+    sample, upright_sample : int
+        Matches in a minimal sample; fewer are needed where gravity is known.
+    """
+
+    sample: ClassVar[int]
+    upright_sample: ClassVar[int]
+
+    def __len__(self) -> int: ...
+
+    def poses(
+        self, bearing: Float[np.ndarray, "sample 3"], rows: Int[np.ndarray, " sample"], gravity: Gravity | None
+    ) -> Poses:
+        """Compute all poses under which the landmarks of a minimal sample project to its bearings."""
+        ...
+
+    def residuals(
+        self, poses: Poses, bearing: Float[np.ndarray, "matches 3"], rows: Int[np.ndarray, " matches"]
+    ) -> Float[np.ndarray, "poses matches"]:
+        """Compute the angle between each bearing and its landmark, radians (small angles); pi/2 behind the camera."""
+        ...
+
+    def linearized(
+        self,
+        pose: Float[np.ndarray, "3 4"],
+        bearing: Float[np.ndarray, "matches 3"],
+        rows: Int[np.ndarray, " matches"],
+    ) -> tuple[Float[np.ndarray, "matches parts"], Float[np.ndarray, "matches parts 6"]]:
+        """Compute signed residuals, radians, and their derivatives by a rotation vector and a translation that are
+        applied after the pose: R' = exp(w) R, t' = t + v."""
+        ...
+
+    def enter(self, pose: Pose) -> Float[np.ndarray, "3 4"]:
+        """Convert a pose of the scene to the frame of the landmarks."""
+        ...
+
+    def leave(self, pose: Float[np.ndarray, "3 4"]) -> Pose:
+        """Convert a pose of the frame of the landmarks to the scene."""
+        ...
+
+
+class Gravity:
+    """The direction of gravity in the camera and in the map, as known from an accelerometer."""
+
+    def __init__(self, camera: Float[np.ndarray, "3"], world: Float[np.ndarray, "3"]) -> None:
+        self.camera, self.world = _turn_to(camera, _UPRIGHT), _turn_to(world, _UPRIGHT)
+
+    def found(self, poses: list[Any]) -> Poses:
+        """Convert poselib's upright poses to poses."""
+        back = self.camera.T
+        return np.array([back @ each.Rt @ _extended(self.world) for each in poses]).reshape(-1, 3, 4)
+
+
+class _InFrame:
+    """Conversion of poses between the scene and a frame of a centre and a unit."""
+
+    center: Float[np.ndarray, "3"]
+    unit: float
+
+    def enter(self, pose: Pose) -> Float[np.ndarray, "3 4"]:
+        """Convert a pose of the scene to the frame."""
+        moved = (pose.rotation @ self.center + pose.translation) / self.unit
+        return np.column_stack([pose.rotation, moved])
+
+    def leave(self, pose: Float[np.ndarray, "3 4"]) -> Pose:
+        """Convert a pose of the frame to the scene."""
+        rotation, moved = pose[:, :3], pose[:, 3]
+        return Pose(rotation, moved * self.unit - rotation @ self.center)
+
+
+class PointLandmarks(_InFrame):
+    """Points: three matches give a pose (p3p), two with gravity.
+
+    Parameters
+    ----------
+    xyz : (points, 3) float64
+        Scene units.
+    """
+
+    sample: ClassVar[int] = 3
+    upright_sample: ClassVar[int] = 2
+
+    def __init__(self, xyz: Float[np.ndarray, "points 3"]) -> None:
+        self.center = np.median(xyz, axis=0)
+        self.unit = float(np.median(np.linalg.norm(xyz - self.center, axis=1))) or 1.0
+        self.xyz = (xyz - self.center) / self.unit
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def poses(
+        self, bearing: Float[np.ndarray, "sample 3"], rows: Int[np.ndarray, " sample"], gravity: Gravity | None
+    ) -> Poses:
+        """Solve by poselib's ``p3p``, or ``up2p``."""
+        solvers, xyz = poselib(), self.xyz[rows]
+        if gravity is None:
+            return _stacked(solvers.p3p(bearing, xyz))
+        return gravity.found(solvers.up2p(bearing @ gravity.camera.T, xyz @ gravity.world.T))
+
+    def residuals(
+        self, poses: Poses, bearing: Float[np.ndarray, "matches 3"], rows: Int[np.ndarray, " matches"]
+    ) -> Float[np.ndarray, "poses matches"]:
+        """Compute the angle between the bearing and the ray to the point."""
+        place = poses[:, :, :3] @ self.xyz[rows].T + poses[:, :, 3:]
+        apart = place / np.linalg.norm(place, axis=1, keepdims=True) - bearing.T
+        distance2 = np.einsum("pim,pim->pm", apart, apart)
+        # Beyond a right angle the chord is above sqrt 2.
+        return np.where(distance2 < 2, np.sqrt(distance2), np.pi / 2)
+
+    def linearized(
+        self,
+        pose: Float[np.ndarray, "3 4"],
+        bearing: Float[np.ndarray, "matches 3"],
+        rows: Int[np.ndarray, " matches"],
+    ) -> tuple[Float[np.ndarray, "matches parts"], Float[np.ndarray, "matches parts 6"]]:
+        """Linearise the two components of the ray across the bearing."""
+        turned = self.xyz[rows] @ pose[:, :3].T
+        place = turned + pose[:, 3]
+        far = np.linalg.norm(place, axis=1)
+        ray = place / far[:, None]
+        across = _across(bearing)
+        # d ray = (I - ray ray^T) / far * d place
+        by_place = (across - (across @ ray[:, :, None]) * ray[:, None]) / far[:, None, None]
+        by_rotation = np.cross(turned[:, None], by_place)
+        return (across @ ray[:, :, None])[..., 0], np.concatenate([by_rotation, by_place], axis=2)
+
+
+class LineLandmarks(_InFrame):
+    """Lines: six matches give a pose, four with gravity.
+
+    A camera that sees points of known lines is a generalized relative pose problem with one bearing a line: p6L of
+    Speciale et al. (CVPR 2019) is the six-point problem of Stewénius et al. (2005).
+
+    Parameters
+    ----------
+    lines : LineCloud
+    """
+
+    sample: ClassVar[int] = 6
+    upright_sample: ClassVar[int] = 4
+
+    def __init__(self, lines: LineCloud) -> None:
+        frame = Frame.of(lines)
+        self.center, self.unit = frame.center, frame.unit
+        self.direction = lines.direction
+        self.moment = (lines.moment - np.cross(self.center, lines.direction)) / self.unit
+        # poselib wants points of the lines; the sign of a direction has no meaning.
+        foot = np.cross(self.direction, self.moment)
+        self.origin = foot - _REACH * self.direction
+        self.plucker = np.concatenate([self.moment, self.direction], axis=1)
+
+    def __len__(self) -> int:
+        return len(self.direction)
+
+    def poses(
+        self, bearing: Float[np.ndarray, "sample 3"], rows: Int[np.ndarray, " sample"], gravity: Gravity | None
+    ) -> Poses:
+        """Solve by poselib's ``gen_relpose_6pt``, or ``up4pl``."""
+        solvers, origin, direction = poselib(), self.origin[rows], self.direction[rows]
+        if gravity is None:
+            return _stacked(solvers.gen_relpose_6pt(origin, direction, np.zeros_like(origin), bearing))
+        foot = origin + _REACH * direction
+        world = gravity.world.T
+        return gravity.found(solvers.up4pl(bearing @ gravity.camera.T, foot @ world, direction @ world))
+
+    def residuals(
+        self, poses: Poses, bearing: Float[np.ndarray, "matches 3"], rows: Int[np.ndarray, " matches"]
+    ) -> Float[np.ndarray, "poses matches"]:
+        """Compute the angle between the bearing and the plane through the camera and the line; the bearing must also
+        meet the line in front of the camera."""
+        turn, plucker = poses[:, :, :3], self.plucker[rows].T
+        normal = np.concatenate([turn, _cross_matrix(poses[:, :, 3]) @ turn], axis=2) @ plucker
+        direction = turn @ plucker[3:]
+        # The ray meets the line in front of the camera if it is on the side of the line's foot, direction x normal.
+        ahead = np.einsum("pim,pim->pm", np.cross(direction, normal, axis=1), bearing.T[None]) > 0
+        sine = np.abs(np.einsum("pim,im->pm", normal, bearing.T)) / np.linalg.norm(normal, axis=1)
+        return np.where(ahead, sine, np.pi / 2)
+
+    def linearized(
+        self,
+        pose: Float[np.ndarray, "3 4"],
+        bearing: Float[np.ndarray, "matches 3"],
+        rows: Int[np.ndarray, " matches"],
+    ) -> tuple[Float[np.ndarray, "matches parts"], Float[np.ndarray, "matches parts 6"]]:
+        """Linearise n . x / |n|, with the plane's normal n = R m + t x R d and the bearing x."""
+        moment, direction = self.moment[rows] @ pose[:, :3].T, self.direction[rows] @ pose[:, :3].T
+        normal = moment + np.cross(pose[:, 3], direction)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        sine = np.sum(normal * bearing, axis=1, keepdims=True) / length
+        by_normal = (bearing - sine * normal / length) / length
+        by_rotation = np.cross(moment, by_normal) + np.cross(direction, np.cross(by_normal, pose[:, 3]))
+        by_translation = np.cross(direction, by_normal)
+        return sine, np.concatenate([by_rotation, by_translation], axis=1)[:, None]
+
+
+def poselib() -> Any:
+    """Load poselib, the minimal solvers; InputError if it is not installed."""
+    try:
+        import poselib as solvers
+    except ImportError as error:
+        raise InputError("localization needs the package poselib; install it: pip install 'l2p[utility]'") from error
+    return solvers
+
+
+def _stacked(poses: list[Any]) -> Poses:
+    return np.array([each.Rt for each in poses]).reshape(-1, 3, 4)
+
+
+def _cross_matrix(vector: Float[np.ndarray, "poses 3"]) -> Float[np.ndarray, "poses 3 3"]:
+    """Matrices M with M y = vector x y."""
+    return np.cross(vector[:, None], np.eye(3)).swapaxes(1, 2)
+
+
+def _across(bearing: Float[np.ndarray, "matches 3"]) -> Float[np.ndarray, "matches 2 3"]:
+    """Two unit vectors across each bearing."""
+    least = np.eye(3)[np.abs(bearing).argmin(axis=1)]
+    first = np.cross(bearing, least)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(bearing, first)], axis=1)
+
+
+def _turn_to(vector: Float[np.ndarray, "3"], to: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """A rotation that turns a unit vector to another one."""
+    frames = []
+    for each in (vector, to):
+        first, second = _across(each[None] / np.linalg.norm(each))[0]
+        frames.append(np.column_stack([each / np.linalg.norm(each), first, second]))
+    return frames[1] @ frames[0].T
+
+
+def _extended(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4 4"]:
+    extended = np.eye(4)
+    extended[:3, :3] = rotation
+    return extended
