@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from l2p.schemes.hide import hide, lift
     from l2p.simulator import simulate
     from l2p.utility.localization import Localization
-    from l2p.utility.localize import localize
+    from l2p.utility.releases import localize
     from l2p.version import __version__
 
 # Public names are loaded on first use (PEP 562), so that `import l2p` and `l2p --help` do not wait for torch.
@@ -46,7 +46,7 @@ _HOME = {
     "hide": "l2p.schemes.hide",
     "lift": "l2p.schemes.hide",
     "load": "l2p.io.files",
-    "localize": "l2p.utility.localize",
+    "localize": "l2p.utility.releases",
     "recover": "l2p.attacks.run",
     "save": "l2p.io.files",
     "save_report": "l2p.auditing.report",

@@ -17,7 +17,7 @@ from l2p.work.progress import terminal_progress
 
 def localize(arguments: Namespace) -> None:
     """Run ``l2p localize``."""
-    from l2p.utility.localize import localize as localized
+    from l2p.utility.releases import localize as localized
 
     inputs = [path for path in (arguments.scene, arguments.features) if path is not None]
     check_outputs(inputs, [file_of(arguments.json), arguments.csv], arguments.force)

@@ -1,4 +1,4 @@
-"""Utility of a release: how well cameras are still localized in it (:func:`l2p.utility.localize.localize`)."""
+"""Utility of a release: how well cameras are still localized in it (:func:`l2p.utility.releases.localize`)."""
 
 #: The scheme that publishes points as they are.
 POINTS = "points"
