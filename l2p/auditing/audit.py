@@ -35,12 +35,15 @@ from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
 from l2p.schemes.hide import hide
+from l2p.utility.localization import Localization
+from l2p.utility.queries import Queries
+from l2p.utility.releases import LocalizeConfig, localize_hidden
 from l2p.work.progress import NO_PROGRESS, Progress
 
 #: Recovers lines that hold a fraction of the map's points.
 _Recover = Callable[[LineCloud, float], Recovery]
 #: Version of the layout of ``audit.json``, written into it.
-AUDIT_VERSION = 2
+AUDIT_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -151,6 +154,8 @@ class Audit:
         Attributes of the map that attackers may use, also if the method uses none.
     ignored : tuple of str
         Attributes that were left out on request.
+    localization : Localization or None
+        Images of the map, localized in its releases; None without queries.
     """
 
     name: str
@@ -163,6 +168,12 @@ class Audit:
     camera_centers: Float[np.ndarray, "cameras 3"] | None = None
     published: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
+    localization: Localization | None = None
+
+    @property
+    def scheme(self) -> str:
+        """Scheme of the lines."""
+        return self.trials[0].lines.scheme
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -215,6 +226,7 @@ class Audit:
             "thresholds": THRESHOLDS.tolist(),
             "coverage": SHARES.tolist(),
             "trials": [_as_dict(trial) for trial in self.trials],
+            "localization": None if self.localization is None else self.localization.as_dict(),
         }
 
 
@@ -228,6 +240,8 @@ def audit(
     metric: bool = False,
     device: str = "cpu",
     memory: float | None = None,
+    queries: Queries | None = None,
+    localizing: LocalizeConfig | None = None,
     progress: Progress = NO_PROGRESS,
     name: str = "map",
     **settings: Any,
@@ -252,6 +266,11 @@ def audit(
         Attributes that no attacker may use, some of ``rgb`` and ``descriptor``: those that will not be published.
     metric : bool
         The scene is in metres.
+    queries : Queries, optional
+        Images of the scene's model (:func:`l2p.utility.releases.read_queries`): also measure how well they are
+        localized at each fraction, in the lines and in the points as they are.
+    localizing : LocalizeConfig, optional
+        Settings of that.
     progress : Progress
         Shows the progress; the smallest fraction comes first, so that the rate is soon known.
     name : str
@@ -277,8 +296,9 @@ def audit(
     >>> [len(trial) for trial in found.trials]
     [200, 100]
     """
-    if isinstance(scene, LineCloud) and fractions is not None:
-        raise InputError("got fractions for a line cloud; expected none, since it is attacked as it is")
+    if isinstance(scene, LineCloud) and (fractions is not None or queries is not None):
+        what = "queries" if fractions is None else "fractions"
+        raise InputError(f"got {what} for a line cloud; expected none, since it is attacked as it is")
     scene = scene if isinstance(scene, LineCloud | Scene) else Scene(scene)
     published = scene.appearance.without(ignore)
     attackers = attackers_of(named_attack(method, **settings), published)
@@ -295,7 +315,13 @@ def audit(
     with _task(progress, [max(1, round(len(scene) * share)) for share in wanted], attackers) as advance:
         for share in wanted:
             trials = (*_trials(scene, share, seed, scale, attackers, attack, metric, advance), *trials)
-    return Audit(name, len(scene), scale, trials, method, seed, metric, scene.camera_centers, published.names, ignored)
+    found = None
+    if queries is not None:
+        hidden = {share: hide(scene, seed, share) for share in reversed(wanted)}
+        found = localize_hidden(queries, hidden, localizing or LocalizeConfig(), metric, progress, name)
+    return Audit(
+        name, len(scene), scale, trials, method, seed, metric, scene.camera_centers, published.names, ignored, found
+    )
 
 
 def _fractions(wanted: Sequence[float]) -> list[float]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
 
 #: Number of curve colours of the page (``--series-0`` and so on); further curves reuse them with other dashes.
-SERIES = 4
+SERIES = 5
 _DASHES = ("-", "--", "-.", ":")
 # Placeholders, replaced by colours of the page; nothing else in a chart has these colours.
 _INK, _GRID, _PAPER = "#010101", "#020202", "#030303"
@@ -70,7 +70,7 @@ def _attackers(audit: Audit) -> Chart:
         "Share of the points with an error of at most so many spacings, for each attacker, if "
         f"{_of(audit.fractions[0])} are published. The dotted line marks 1 spacing.",
         f"Curves of the share of points against the error. Within 1 spacing: {_within(trials, labels)}.",
-        _svg("attackers", lambda axes: _draw_errors(axes, trials, labels)),
+        svg("attackers", lambda axes: _draw_errors(axes, trials, labels)),
     )
 
 
@@ -79,7 +79,7 @@ def _thinned(audit: Audit) -> Chart:
     curves = [audit.of_attacker(attacker) for attacker in audit.attackers]
 
     def draw(axes: Axes) -> None:
-        for trials, style in zip(curves, _styles(labels), strict=True):
+        for trials, style in zip(curves, styles(labels), strict=True):
             within = [np.nan if trial.within is None else trial.within for trial in trials]
             axes.plot(audit.fractions, within, marker="o", markersize=3.5, clip_on=False, **style)
         axes.set(xscale="log", ylim=(0, 1), xlabel="points published", ylabel="of these, right")
@@ -94,7 +94,7 @@ def _thinned(audit: Audit) -> Chart:
         "Share of the published points that come back within 1 spacing of the whole map, for each attacker: compare "
         "what leaving out points saves with what leaving out attributes saves.",
         f"Curves of the share of right points against the share published. {ends}.",
-        _svg("thinned", draw),
+        svg("thinned", draw),
     )
 
 
@@ -106,14 +106,14 @@ def _distribution(audit: Audit) -> Chart:
         "A curve further to the left and up means that more is given away. The dotted line marks 1 spacing."
         f"{_who(audit)}",
         f"Curves of the share of points against the error. Within 1 spacing: {_within(trials, labels)}.",
-        _svg("distribution", lambda axes: _draw_errors(axes, trials, labels)),
+        svg("distribution", lambda axes: _draw_errors(axes, trials, labels)),
     )
 
 
 def _draw_errors(axes: Axes, trials: Sequence[Trial], labels: Sequence[str]) -> None:
     """Draw the distribution of errors of each trial."""
     axes.axvline(1, color=_INK, linewidth=0.8, linestyle=(0, (1, 2)))
-    for trial, style in zip(trials, _styles(labels), strict=True):
+    for trial, style in zip(trials, styles(labels), strict=True):
         axes.plot(THRESHOLDS, trial.curves.within, **style)
     axes.set(xscale="log", xlim=SHOWN, ylim=(0, 1))
     ticks = (0.05, 0.25, 1, 5, 20)
@@ -126,10 +126,10 @@ def _risk(audit: Audit) -> Chart:
     trials, labels = _shown(audit)
 
     def draw(axes: Axes) -> None:
-        for trial, style in zip(trials, _styles(labels), strict=True):
+        for trial, style in zip(trials, styles(labels), strict=True):
             axes.plot(SHARES, trial.curves.risk, **style)
         axes.set(xlim=(0, 1), ylim=(0, None), xlabel="points kept, most confident first", ylabel="of these, wrong")
-        _percent_axis(axes.xaxis)
+        percent_axis(axes.xaxis)
 
     half = int(np.searchsorted(SHARES, 0.5))
     ends = "; ".join(
@@ -142,7 +142,7 @@ def _risk(audit: Audit) -> Chart:
         "more than 1 spacing off. Where the curve falls to the left, the attacker can tell right from wrong."
         f"{expected}{_who(audit)}",
         f"Curves of the share of wrong points against the share kept. Wrong among the most confident half: {ends}.",
-        _svg("risk", draw),
+        svg("risk", draw),
     )
 
 
@@ -151,10 +151,10 @@ def _reliability(audit: Audit) -> Chart:
 
     def draw(axes: Axes) -> None:
         axes.plot([0, 1], [0, 1], color=_INK, linewidth=0.8, linestyle=(0, (1, 2)))
-        for trial, style in zip(trials, _styles(labels), strict=True):
+        for trial, style in zip(trials, styles(labels), strict=True):
             axes.plot(trial.curves.claimed, trial.curves.right, marker="o", markersize=3.5, clip_on=False, **style)
         axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="confidence of the attack", ylabel="of these, right")
-        _percent_axis(axes.xaxis)
+        percent_axis(axes.xaxis)
 
     ends = "; ".join(
         f"{label}: {trial.scores.calibration_error:.3f}"
@@ -166,7 +166,7 @@ def _reliability(audit: Audit) -> Chart:
         "Calibration: of the points that the attack gives a confidence of 80 %, 80 % should be within 1 spacing. On "
         f"the dotted line the confidence is exactly right; below it, the attack is too sure of itself.{_who(audit)}",
         f"Curves of the share of right points against their confidence. Calibration error, {ends}.",
-        _svg("reliability", draw),
+        svg("reliability", draw),
     )
 
 
@@ -191,7 +191,7 @@ def _within(trials: Iterable[Trial], labels: Iterable[str]) -> str:
     return "; ".join(f"{label}: {percent(within)}" for label, within in known if within is not None)
 
 
-def _styles(labels: Iterable[str]) -> Iterator[dict[str, Any]]:
+def styles(labels: Iterable[str]) -> Iterator[dict[str, Any]]:
     """Yield the style of each curve."""
     for number, label in enumerate(labels):
         yield {
@@ -202,7 +202,7 @@ def _styles(labels: Iterable[str]) -> Iterator[dict[str, Any]]:
         }
 
 
-def _svg(name: str, draw: Callable[[Axes], None]) -> str:
+def svg(name: str, draw: Callable[[Axes], None]) -> str:
     """Draw one chart, without the XML header, with text as text, and with colours as variables of the page."""
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -225,8 +225,8 @@ def _svg(name: str, draw: Callable[[Axes], None]) -> str:
         figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
         FigureCanvasSVG(figure)
         axes = figure.subplots()
+        percent_axis(axes.yaxis)
         draw(axes)
-        _percent_axis(axes.yaxis)
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
         handles, labels = axes.get_legend_handles_labels()
@@ -236,19 +236,19 @@ def _svg(name: str, draw: Callable[[Axes], None]) -> str:
     return _themed(file.getvalue())
 
 
-def _themed(svg: str) -> str:
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+def _themed(text: str) -> str:
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     # The page scales the chart; the view box keeps its proportions.
-    svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
-    svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
-    svg = re.sub(r"(font: [0-9.]+px) [^;\"]*", r"\1 var(--font)", svg)
+    text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r"(font: [0-9.]+px) [^;\"]*", r"\1 var(--font)", text)
     for color, variable in _VARIABLES.items():
-        svg = svg.replace(color, variable)
-    return svg
+        text = text.replace(color, variable)
+    return text
 
 
-def _percent_axis(axis: Axis) -> None:
+def percent_axis(axis: Axis) -> None:
     """Set few ticks, each with all its digits."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 

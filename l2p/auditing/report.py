@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 from l2p.auditing.attackers import named, others, seen_by
 from l2p.auditing.audit import Audit, Trial
 from l2p.auditing.charts import charts
+from l2p.auditing.decision import Goal, decide
+from l2p.auditing.tradeoff import tradeoff
 from l2p.auditing.words import sentences
 from l2p.io.atomic import atomic_folder
 from l2p.judging.accuracy import errors
@@ -32,6 +34,26 @@ _FORMS: dict[Form, Callable[[Any], str]] = {
     Form.SHARE: percent,
     Form.NUMBER: "{:.3f}".format,
 }
+
+
+@dataclass(frozen=True)
+class ReleaseInputs:
+    """What the decision of a report needs besides the audit.
+
+    Attributes
+    ----------
+    goal : Goal or None
+        What a release should reach; None: 90 % of the queries localized within a limit.
+    scene, descriptors : str
+        What ``l2p lift`` is given to make a release.
+    unlocalized : str
+        Why nothing was localized; empty if it is of no interest.
+    """
+
+    goal: Goal | None = None
+    scene: str = "MODEL"
+    descriptors: str | None = None
+    unlocalized: str = ""
 
 
 #: Cells of a row of a table; the first is its heading.
@@ -84,6 +106,7 @@ def save_report(
     overwrite: bool = False,
     command: str | None = None,
     most_points: int = MOST_POINTS,
+    release: ReleaseInputs = ReleaseInputs(),
 ) -> None:
     """Write the report of an audit: an HTML page, and all figures as JSON.
 
@@ -97,6 +120,8 @@ def save_report(
         Command line that repeats this audit, for the page.
     most_points : int
         Most points of each cloud in the view; the figures count all points.
+    release : ReleaseInputs
+        For an audit with queries: what a release should reach, and what it is made from.
 
     Raises
     ------
@@ -104,21 +129,28 @@ def save_report(
         If the folder exists and may not be replaced, or cannot be written.
     """
     with atomic_folder(folder, overwrite=overwrite, replaceable=frozenset(FILES)) as place:
-        content = figures_of(audit, command)
+        content = figures_of(audit, command, release)
         (place / FIGURES).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-        (place / PAGE).write_bytes(report_page(audit, command, most_points))
+        (place / PAGE).write_bytes(report_page(audit, command, most_points, release))
 
 
-def figures_of(audit: Audit, command: str | None = None) -> dict[str, Any]:
+def figures_of(audit: Audit, command: str | None = None, release: ReleaseInputs = ReleaseInputs()) -> dict[str, Any]:
     """Return the content of ``audit.json``."""
-    return {**audit.as_dict(), "command": command}
+    decision = decide(audit, release.goal)
+    return {**audit.as_dict(), "decision": None if decision is None else decision.as_dict(), "command": command}
 
 
-def report_page(audit: Audit, command: str | None = None, most_points: int = MOST_POINTS) -> bytes:
+def report_page(
+    audit: Audit,
+    command: str | None = None,
+    most_points: int = MOST_POINTS,
+    release: ReleaseInputs = ReleaseInputs(),
+) -> bytes:
     """Render the page of an audit, UTF-8."""
     exhibits = [(fraction(trial.fraction), _exhibit(trial, audit)) for trial in audit.trials]
     used = audit.attackers[0]
     first, *further = sentences(audit)
+    decision = decide(audit, release.goal)
     return render(
         "audit.html",
         f"Privacy audit of {audit.name}",
@@ -132,6 +164,8 @@ def report_page(audit: Audit, command: str | None = None, most_points: int = MOS
         used_words=named(used),
         unseen=[named([name]) for name in others(used)],
         tables=_tables(audit),
+        tradeoff=None if decision is None else tradeoff(audit, decision, release.scene, release.descriptors),
+        unlocalized=release.unlocalized,
         charts=charts(audit),
         spacing=length(audit.spacing, audit.metric),
         seconds=_duration(audit.trials[0].seconds),

@@ -17,22 +17,25 @@ from l2p.cli.flags import settings_of
 from l2p.cli.localize import localize as localize
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
 from l2p.cli.recover import recover as recover
-from l2p.errors import InputError
+from l2p.errors import InputError, sentence
 from l2p.io.atomic import atomic_file, check_folder
 from l2p.io.descriptors import load_described
-from l2p.io.kinds import LINE_CLOUDS, kind_of
+from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
 from l2p.io.line_files import line_ending, load_lines, save_lines
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth, truth_bytes
 from l2p.judging.accuracy import matched, spacing
 from l2p.judging.scores import evaluate as score
+from l2p.maps.lines import LineCloud
 from l2p.maps.scene import Scene
 from l2p.schemes.hide import hide
-from l2p.show.tables import descriptor_text, print_info, print_scores, print_shares
+from l2p.show.tables import descriptor_text, print_info, print_rows, print_scores, print_shares
+from l2p.utility import MOST_QUERIES, WRONG
 from l2p.work.progress import terminal_progress
 
 if TYPE_CHECKING:
     from l2p.auditing.audit import Audit
+    from l2p.utility.queries import Queries
 
 
 def lift(arguments: Namespace) -> None:
@@ -75,14 +78,22 @@ def evaluate(arguments: Namespace) -> None:
 def audit(arguments: Namespace) -> None:
     """Run ``l2p audit``."""
     from l2p.auditing.audit import audit as examine
-    from l2p.auditing.report import FILES, PAGE, figures_of, save_report
+    from l2p.auditing.decision import decide, parsed_goal
+    from l2p.auditing.report import FILES, PAGE, ReleaseInputs, figures_of, save_report
+    from l2p.auditing.tradeoff import decision_sentences, option_table
     from l2p.auditing.words import sentences
+    from l2p.utility.localization import checked_limits
+    from l2p.utility.releases import LocalizeConfig
 
     _check_report(arguments, FILES)
     lines_given = kind_of(arguments.scene) in LINE_CLOUDS
     if lines_given and arguments.descriptors is not None:
         raise InputError("got --descriptors for a line cloud; expected none, since its file has all that is published")
     scene = load_lines(arguments.scene) if lines_given else _described_scene(arguments.scene, arguments.descriptors)[0]
+    goal = parsed_goal(arguments.localize, arguments.recovered)
+    queries, why = _queries(arguments, scene, needed=goal is not None)
+    if goal is not None:
+        checked_limits([goal.limit], arguments.metric)
     set_threads(arguments.threads)
     found = examine(
         scene,
@@ -93,27 +104,57 @@ def audit(arguments: Namespace) -> None:
         metric=arguments.metric,
         device=arguments.device,
         memory=arguments.memory,
+        queries=queries,
+        localizing=LocalizeConfig(wrong=(arguments.wrong,), most_queries=arguments.queries or None),
         progress=terminal_progress(),
         name=_shown(arguments.scene),
         **settings_of(arguments),
     )
     command = _audit_command(arguments, lines_given)
-    with figures_file(arguments, figures_of(found, command)):
+    release = ReleaseInputs(goal, _shown(arguments.scene), arguments.descriptors or None, why)
+    with figures_file(arguments, figures_of(found, command, release)):
         save_report(
             found,
             arguments.output,
             overwrite=arguments.force,
             command=command,
             most_points=arguments.max_view_points,
+            release=release,
         )
     if arguments.json != "-":
         if found.known:
             _print_figures(found)
-        for sentence in sentences(found):
-            print(sentence.replace("\N{NO-BREAK SPACE}", " "))
+        decision = decide(found, goal)
+        if decision is not None:
+            print_rows(
+                "releases of the map (*: the best, in brackets: another one is better)", *option_table(found, decision)
+            )
+        told = [*sentences(found), *([] if decision is None else decision_sentences(found, decision))]
+        for each in told:
+            print(each.replace("\N{NO-BREAK SPACE}", " "))
         print(f"The report is {Path(arguments.output) / PAGE}")
     if arguments.open:
         _open(Path(arguments.output) / PAGE)
+
+
+def _queries(arguments: Namespace, scene: Scene | LineCloud, needed: bool) -> tuple[Queries | None, str]:
+    """Images of the model to localize, or None and why there are none; InputError if they are needed."""
+    from l2p.utility.landmarks import poselib
+    from l2p.utility.releases import queries_at
+
+    try:
+        if arguments.queries < 0:
+            raise InputError(f"got --queries {arguments.queries}; expected 0 or more")
+        if arguments.queries == 0:
+            raise InputError("no images were to be localized (--queries 0)")
+        if isinstance(scene, LineCloud) or kind_of(arguments.scene) is not Kind.SCENE_MODEL:
+            raise InputError("only a COLMAP model has the images that can be localized")
+        poselib()
+        return queries_at(arguments.scene, scene), ""
+    except InputError as error:
+        if needed or arguments.queries < 0:
+            raise
+        return None, sentence(error)
 
 
 def _described_scene(path: str, descriptors: str | None) -> tuple[Scene, Path | None]:
@@ -216,6 +257,10 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
     for name, value in flags.items():
         words += [] if value is None else [f"--{name.replace('_', '-')}", str(value)]
     words += ["--metric"] if arguments.metric else []
+    words += [] if arguments.queries == MOST_QUERIES else ["--queries", str(arguments.queries)]
+    words += [] if arguments.wrong == WRONG else ["--wrong", f"{arguments.wrong:.15g}"]
+    for name in ("localize", "recovered"):
+        words += [f"--{name}", getattr(arguments, name)] if getattr(arguments, name) is not None else []
     return _shown(shlex.join(words))
 
 

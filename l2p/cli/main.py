@@ -15,7 +15,7 @@ from l2p.judging import CLEANING
 from l2p.maps import ATTRIBUTES
 from l2p.schemes.scheme import DEFAULT_SCHEME, SCHEMES
 from l2p.show.page import MOST_POINTS
-from l2p.utility import BY_TRACKS, MATCHING, POINTS, WRONG
+from l2p.utility import BY_TRACKS, MATCHING, MOST_QUERIES, POINTS, WRONG
 from l2p.utility import FRACTIONS as LOCALIZED_FRACTIONS
 from l2p.version import __version__
 from l2p.work.memory import SHARE
@@ -282,6 +282,7 @@ def _add_audit(commands: Any) -> None:
     )
     _add_ignore(audit, "of the map")
     audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
+    _add_decision(audit)
     audit.add_argument(
         "--max-view-points",
         type=int,
@@ -295,6 +296,34 @@ def _add_audit(commands: Any) -> None:
     _add_memory(audit)
     _add_json(audit, "FILE", "the figures of audit.json")
     _add_force(audit)
+
+
+def _add_decision(audit: argparse.ArgumentParser) -> None:
+    audit.add_argument(
+        "--queries",
+        type=int,
+        default=MOST_QUERIES,
+        metavar="N",
+        help="most images of a COLMAP model to localize in each release; 0 leaves it out (default: %(default)s)",
+    )
+    audit.add_argument(
+        "--wrong",
+        type=float,
+        default=WRONG,
+        metavar="W",
+        help="share of wrong matches in that, in [0, 1) (default: %(default)s)",
+    )
+    audit.add_argument(
+        "--localize",
+        metavar="LIMIT=SHARE",
+        help="name the release that gives away least of those that localize this share of the images, such as "
+        "0.25m,2deg=90%% (with --metric) or 0.5%%=90%%, of the extent of the cameras",
+    )
+    audit.add_argument(
+        "--recovered",
+        metavar="SHARE",
+        help="name the release that localizes best of those of which at most this share of the map comes back",
+    )
 
 
 def _add_view(commands: Any) -> None:

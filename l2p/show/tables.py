@@ -56,6 +56,14 @@ def print_shares(rows: dict[str, list[float]], columns: list[str]) -> None:
     console().print(table)
 
 
+def print_rows(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table of texts to stdout."""
+    table = Table(*heads, title=title)
+    for row in rows:
+        table.add_row(*(escape(cell) for cell in row))
+    console().print(table)
+
+
 def print_localization(found: Localization) -> None:
     """Print the figures of each release to stdout."""
     unit = "m" if found.metric else "% of extent"

@@ -6,5 +6,7 @@ POINTS = "points"
 BY_TRACKS, BY_DESCRIPTORS = MATCHING = ("tracks", "descriptors")
 #: Default shares of the points that are published.
 FRACTIONS = (1.0, 0.25, 0.1, 0.05, 0.01)
+#: Default of the most images that an audit localizes.
+MOST_QUERIES = 40
 #: Default share of wrong matches.
 WRONG = 0.3

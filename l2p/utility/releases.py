@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 
@@ -187,6 +187,26 @@ def localize(
     return Localization(name, len(scene), queries.extent, metric, matching, gravity is not None, seed, trials)
 
 
+def localize_hidden(
+    queries: Queries,
+    hidden: Mapping[float, Hiding],
+    config: LocalizeConfig,
+    metric: bool = False,
+    progress: Progress = NO_PROGRESS,
+    name: str = "map",
+) -> Localization:
+    """Localize queries in hidden maps, by fraction, and in their points as they are."""
+    poselib()
+    releases = [
+        make(each, fraction, queries.points)
+        for fraction, each in hidden.items()
+        for make in (Release.of_points, Release.of_lines)
+    ]
+    trials = localized(queries, releases, config, progress)
+    upright = config.gravity is not None
+    return Localization(name, queries.points, queries.extent, metric, config.matching, upright, config.seed, trials)
+
+
 def read_queries(
     model: str | PathLike[str], features: str | PathLike[str] | None = None, described: bool = False
 ) -> tuple[Scene, Queries]:
@@ -206,6 +226,13 @@ def read_queries(
         return scene, queries_of(read, scene.ids)
     with opened_features(model, features) as found:
         return scene, queries_of(read, scene.ids, found)
+
+
+def queries_at(model: str | PathLike[str], scene: Scene) -> Queries:
+    """Read the images of a COLMAP model as queries, with the points of a scene of it; errors as :func:`localize`."""
+    if scene.ids is None:
+        raise InputError("got a scene without point ids; expected that of a COLMAP model")
+    return queries_of(read_model(model), scene.ids)
 
 
 def release_of(scene: Scene, scheme: str, fraction: float, seed: int) -> Release:

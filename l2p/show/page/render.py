@@ -14,7 +14,7 @@ from l2p.show.page.numbers import count
 from l2p.show.page.view import MOST_LINES, view_data
 from l2p.version import __version__
 
-_SCRIPTS = ("theme.js", "viewer.js")
+_SCRIPTS = ("theme.js", "viewer.js", "copy.js")
 
 
 def render(

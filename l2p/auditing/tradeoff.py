@@ -1,0 +1,297 @@
+"""The decision on a page: sentences, charts and a table of what releases give away and what they are still good for."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from html import escape
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+from l2p.auditing.attackers import WORDS, Attacker
+from l2p.auditing.audit import Audit
+from l2p.auditing.charts import Chart, percent_axis, styles, svg
+from l2p.auditing.decision import Decision, Option, best_of, lift_command
+from l2p.show.page.numbers import fraction, percent
+from l2p.utility import BY_TRACKS, POINTS
+from l2p.utility.localization import Localization
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: Least share on the axis of what comes back, and the marks of the axis.
+_LEAST = 0.0005
+_TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+#: Opacity of the dominated.
+_GREY = 0.35
+
+
+@dataclass(frozen=True)
+class OptionRow:
+    """Row of the table of releases."""
+
+    name: str
+    fraction: str
+    recovered: str
+    alone: str
+    of_published: str
+    localized: str
+    position: str
+    rotation: str
+    dominated: bool
+    best: bool
+    command: str
+
+
+@dataclass(frozen=True)
+class Tradeoff:
+    """The section of the page."""
+
+    headline: str
+    sentences: list[str]
+    command: str
+    charts: list[Chart]
+    groups: list[tuple[str, list[OptionRow]]]
+    limit: str
+    unmatched: bool
+    csv: str
+
+
+def tradeoff(audit: Audit, decision: Decision, scene: str, descriptors: str | None = None) -> Tradeoff:
+    """Make the section of a decision.
+
+    Parameters
+    ----------
+    scene, descriptors : str
+        What ``l2p lift`` is given to make a release.
+    """
+    found = audit.localization
+    assert found is not None
+    rows = [_row(option, decision, found, lift_command(option, scene, descriptors)) for option in decision.options]
+    headline, *further = decision_sentences(audit, decision)
+    best = decision.best
+    return Tradeoff(
+        headline,
+        further,
+        "" if best is None else lift_command(best, scene, descriptors),
+        [_error_chart(decision, found), _share_chart(decision)],
+        [(name, list(group)) for name, group in groupby(rows, lambda row: row.name)],
+        str(decision.goal.limit),
+        any(not option.matchable for option in decision.options),
+        base64.b64encode(_csv(decision, rows)).decode("ascii"),
+    )
+
+
+def option_table(audit: Audit, decision: Decision) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of the releases, for a terminal; a star marks the best, brackets the dominated."""
+    found = audit.localization
+    assert found is not None
+    heads = [
+        "release", "points", "of the map comes back", "by lines alone", "of what is published",
+        f"within {decision.goal.limit}", "position", "rotation",
+    ]  # fmt: skip
+    rows = []
+    for option in decision.options:
+        row = _row(option, decision, found, "")
+        name = f"* {row.name}" if row.best else f"({row.name})" if row.dominated else row.name
+        rows.append(
+            [name, row.fraction, row.recovered, row.alone, row.of_published, row.localized, row.position, row.rotation]
+        )
+    return heads, rows
+
+
+def release_name(scheme: str, published: Attacker) -> str:
+    """Name what is published.
+
+    >>> release_name("points", ()), release_name("uniform", ("rgb", "descriptor"))
+    ('points', 'lines + colours + descriptors')
+    """
+    what = "points" if scheme == POINTS else "lines" if scheme == "uniform" else f"{scheme} lines"
+    return " + ".join((what, *(WORDS[name] for name in published)))
+
+
+def decision_sentences(audit: Audit, decision: Decision) -> list[str]:
+    """Say which release to choose, what it costs, and how that was measured."""
+    found, goal, best = audit.localization, decision.goal, decision.best
+    assert found is not None
+    within = f"within {goal.limit}{'' if goal.limit.metric else ' of the extent of the cameras'}"
+    queries = len(found.trials[0].attempts)
+    if goal.recovered is None:
+        wish = f"localize {percent(goal.localized)} of the cameras {within}"
+        rank = "gives away least"
+    else:
+        wish = f"give away at most {percent(goal.recovered)} of the map"
+        rank = f"localizes most cameras {within}"
+    if best is None:
+        return [f"No release that was tried would {wish}. {_nearest(decision)}", *_measured(found, queries)]
+    name = release_name(best.scheme, best.published)
+    chosen = [
+        f"Of the releases that {wish}, this one {rank}: {name}, {fraction(best.fraction)} of the points.",
+        f"An attacker gets back {percent(best.recovered)} of the points of the map within 1 spacing "
+        f"({percent(best.of_published)} of those published), and {percent(best.localized)} of {queries} cameras are "
+        f"localized {within}; half of them within {_position(best.position, found)} and {best.rotation:.2g} deg.",
+    ]
+    return [*chosen, *_plain(decision, within), *_measured(found, queries)]
+
+
+def _plain(decision: Decision, within: str) -> list[str]:
+    """If the release to choose has points as they are: what that means, and the best of those that hide them."""
+    best = decision.best
+    if best is None or best.scheme != POINTS:
+        return []
+    said = "These points are published as they are: few in number, but each of them in its true place."
+    hidden = best_of([option for option in decision.options if option.scheme != POINTS], decision.goal)
+    if hidden is None:
+        return [f"{said} No release that hides them reaches as much."]
+    return [
+        f"{said} Of those that hide them: {release_name(hidden.scheme, hidden.published)}, {fraction(hidden.fraction)} "
+        f"of the points; {percent(hidden.recovered)} of the map comes back, {percent(hidden.localized)} of the cameras "
+        f"are localized {within}."
+    ]
+
+
+def _nearest(decision: Decision) -> str:
+    """The release that comes nearest to the goal."""
+    fit = [option for option in decision.options if option.matchable]
+    if decision.goal.recovered is None:
+        nearest = max(fit, key=lambda option: option.localized)
+        reach = f"localizes {percent(nearest.localized)}"
+    else:
+        nearest = min(fit, key=lambda option: option.recovered)
+        reach = f"gives away {percent(nearest.recovered)}"
+    return (
+        f"The nearest, {release_name(nearest.scheme, nearest.published)} with {fraction(nearest.fraction)} of the "
+        f"points, {reach}."
+    )
+
+
+def _measured(found: Localization, queries: int) -> list[str]:
+    wrong = found.trials[0].wrong
+    how = "by their descriptors" if wrong is None else f"by the tracks of the map, {percent(wrong)} of them made wrong"
+    best_case = ": a best case" if found.matching == BY_TRACKS else ""
+    return [f"{queries} images of the map were each localized in the map of the others, with matches {how}{best_case}."]
+
+
+def _row(option: Option, decision: Decision, found: Localization, command: str) -> OptionRow:
+    lost = math.isinf(option.position)
+    return OptionRow(
+        release_name(option.scheme, option.published),
+        fraction(option.fraction),
+        percent(option.recovered),
+        "-" if option.scheme == POINTS else percent(option.alone),
+        percent(option.of_published),
+        percent(option.localized),
+        "lost" if lost else _position(option.position, found),
+        "lost" if lost else f"{option.rotation:.2g} deg",
+        decision.dominated(option) or not option.matchable,
+        option == decision.best,
+        command,
+    )
+
+
+def _position(value: float, found: Localization) -> str:
+    if found.metric:
+        return f"{100 * value:.2g} cm" if value < 0.99 else f"{value:.3g} m"
+    return f"{100 * value:.2g} %"
+
+
+def _csv(decision: Decision, rows: list[OptionRow]) -> bytes:
+    text = io.StringIO()
+    names = [
+        "release", "fraction", "recovered_of_map", "recovered_of_map_by_lines_alone", "recovered_of_published",
+        "localized", "median_position", "median_rotation_deg", "dominated", "best", "command",
+    ]  # fmt: skip
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for option, row in zip(decision.options, rows, strict=True):
+        figures = (option.fraction, option.recovered, option.alone, option.of_published, option.localized)
+        writer.writerow(
+            [row.name, *figures, option.position, option.rotation, int(row.dominated), int(row.best), row.command]
+        )
+    return text.getvalue().encode("utf-8")
+
+
+def _error_chart(decision: Decision, found: Localization) -> Chart:
+    unit = "m" if found.metric else "% of the cameras' extent"
+    factor = 1 if found.metric else 100
+    drawn = svg("error", lambda axes: _draw(axes, decision, lambda option: factor * option.position, unit, True))
+    return _chart(
+        decision,
+        "What comes back, against the error of localization",
+        "Each mark is a release. The further down, the less of the map comes back; the further to the left, the "
+        "better cameras are localized. Filled: the attacker uses all that is published; hollow: the lines alone. "
+        "Faint: another release is no worse on any side. The ring marks the release above.",
+        drawn,
+        "error",
+    )
+
+
+def _share_chart(decision: Decision) -> Chart:
+    label = f"cameras within {decision.goal.limit}"
+    drawn = svg("share", lambda axes: _draw(axes, decision, lambda option: option.localized, label, False))
+    return _chart(
+        decision,
+        "What comes back, against the cameras that are localized",
+        f"The same releases by the share of the cameras within {decision.goal.limit}: the further to the right, the "
+        "more.",
+        drawn,
+        "share",
+    )
+
+
+def _chart(decision: Decision, heading: str, caption: str, drawn: str, name: str) -> Chart:
+    """Put the figures of each release into its mark, for the pointer."""
+    for number, option in enumerate(decision.options):
+        text = (
+            f"{release_name(option.scheme, option.published)}, {fraction(option.fraction)} of the points: "
+            f"{percent(option.recovered)} of the map comes back ({percent(option.of_published)} of what is published), "
+            f"{percent(option.localized)} of the cameras localized"
+        )
+        mark = f'<g id="{name}-{number}">'
+        drawn = drawn.replace(mark, f"{mark}<title>{escape(text)}</title>")
+    best = decision.best
+    chosen = "" if best is None else f" Best: {release_name(best.scheme, best.published)} at {fraction(best.fraction)}."
+    return Chart(heading, caption, f"{heading}.{chosen} The table below has all figures.", drawn)
+
+
+def _draw(axes: Axes, decision: Decision, place: Callable[[Option], float], label: str, log: bool) -> None:
+    name = "error" if log else "share"
+    number = {id(option): row for row, option in enumerate(decision.options)}
+    curves = decision.curves
+    labels = [release_name(*key) for key in curves]
+    for (key, options), style in zip(curves.items(), styles(labels), strict=True):
+        seen = [option for option in options if math.isfinite(place(option))]
+        x = [place(option) for option in seen]
+        axes.plot(x, [max(option.recovered, _LEAST) for option in seen], **style)
+        look = {"marker": "o", "markersize": 6, "color": style["color"], "linestyle": "none", "clip_on": False}
+        for option, at in zip(seen, x, strict=True):
+            faint = decision.dominated(option) or not option.matchable
+            shown = _GREY if faint else 1.0
+            mark = f"{name}-{number[id(option)]}"
+            axes.plot([at], [max(option.recovered, _LEAST)], gid=mark, alpha=shown, **look)
+            if option == decision.best:
+                big = {**look, "markersize": 14, "markerfacecolor": "none", "markeredgewidth": 2}
+                axes.plot([at], [max(option.recovered, _LEAST)], **big)
+        if key[1]:
+            hollow = {**look, "markerfacecolor": "none", "markersize": 4.5, "alpha": _GREY}
+            if key[0] != POINTS:
+                axes.plot(x, [max(option.alone, _LEAST) for option in seen], **hollow)
+    floor = 0.6 * max(min(min(option.recovered, option.alone) for option in decision.options), _LEAST)
+    axes.set(yscale="log", ylim=(floor, 1.1), xlabel=label, ylabel="of the map's points, come back")
+    ticks = [tick for tick in _TICKS if tick >= floor]
+    axes.set_yticks(ticks, [f"{100 * tick:g} %" for tick in ticks])
+    if log:
+        axes.set_xscale("log")
+        from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.set_xlim(0, 1)
+        percent_axis(axes.xaxis)
+    axes.minorticks_off()
