@@ -63,12 +63,17 @@ class Cell:
 
     def hidden(self) -> Hiding:
         """Line cloud with all attributes of the scene, and truth, with the spacing of the whole scene."""
-        scene = load(self.scene.source)
+        return self.hidden_scene(self.scene.source, self.fraction, self.seed)
+
+    @staticmethod
+    def hidden_scene(source: str, fraction: float, seed: int) -> Hiding:
+        """Hide a fraction of a scene."""
+        scene = load(source)
         seen = scene.appearance
         hidden = hide(
             scene.xyz,
-            self.seed,
-            self.fraction,
+            seed,
+            fraction,
             rgb=seen.rgb,
             descriptor=seen.descriptor,
             descriptor_kind=seen.descriptor_kind,

@@ -48,6 +48,7 @@ class EvalConfig:
     processes: int | None = None
     threads: int | None = None
     device: str = MISSING
+    queries: int = MISSING
     pictures: PictureKeys = field(default_factory=PictureKeys)
     docs: str | None = None
     update: list[str] = MISSING
@@ -79,6 +80,7 @@ class Settings:
     processes: int | None
     threads: int | None
     device: str
+    queries: int
     pictures: Pictures
     docs: Path | None
     update: tuple[Path, ...]
@@ -105,6 +107,7 @@ def settings_of(config: DictConfig) -> Settings:
     for key in ("processes", "threads"):
         if resolved[key] is not None:
             _check_range(key, resolved[key], 1, MOST_THREADS)
+    _check_range("queries", resolved["queries"], 0, 10**9)
     usable_device(resolved["device"])
     return Settings(
         name=resolved["name"],
@@ -117,6 +120,7 @@ def settings_of(config: DictConfig) -> Settings:
         processes=resolved["processes"],
         threads=resolved["threads"],
         device=resolved["device"],
+        queries=resolved["queries"],
         pictures=_pictures(resolved["pictures"], resolved["fractions"]),
         docs=None if resolved["docs"] is None else _page(Path(resolved["docs"])),
         update=tuple(_there(Path(file)) for file in resolved["update"]),

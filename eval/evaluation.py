@@ -17,6 +17,7 @@ from eval.capacity import cores, fitting
 from eval.cells import Cell, Store, cells_of, predict, without_unseen
 from eval.eval_config import Settings
 from eval.figures import draw_figures
+from eval.localization_table import localization_tables
 from eval.parallel import outcomes
 from eval.result_tables import Image, Table, document, print_tables, tables, updated
 from eval.scoring import Row, score, write_results
@@ -54,7 +55,7 @@ def evaluate_all(settings: Settings, folder: Path, command: str) -> int:
         if predicting:
             failed = _predict_all(cells, store, settings)
         if "score" in settings.steps:
-            _show(_score_all(cells, store, about), cells, store, settings, about)
+            _show(_score_all(cells, store, settings.queries, about), cells, store, settings, about)
     return failed
 
 
@@ -89,13 +90,13 @@ def plan(settings: Settings, cells: Sequence[Cell]) -> tuple[int, int]:
     return processes, threads or max(1, cores() // processes)
 
 
-def _score_all(cells: Sequence[Cell], store: Store, about: dict[str, Any]) -> list[Row]:
+def _score_all(cells: Sequence[Cell], store: Store, queries: int, about: dict[str, Any]) -> list[Row]:
     """Score the predicted cells; the results are rewritten after every cell."""
     rows: list[Row] = []
     predicted = [cell for cell in cells if store.done(cell)]
     with terminal_progress().task("scores", total=len(predicted)) as advance:
         for cell in predicted:
-            rows.append(score(cell, store))
+            rows.append(score(cell, store, queries))
             write_results(store, rows, about)
             advance(1)
     codes = {row["code"] for row in rows}
@@ -114,7 +115,7 @@ def _show(rows: list[Row], cells: Sequence[Cell], store: Store, settings: Settin
     targets = target_table(rows, references)
     if targets is not None:
         found.insert(1, targets)
-    found[-1:-1] = appearance_tables(rows, references)  # before the scenes
+    found[-1:-1] = [*appearance_tables(rows, references), *localization_tables(rows)]  # before the scenes
     print_tables(found)
     drawings = [*draw_figures(rows, references.knowing), *draw_pictures(cells, rows, store, settings.pictures)]
     places = [(store.folder / "results.md", "figures", "")]

@@ -6,9 +6,11 @@ import csv
 import hashlib
 import io
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from eval.cells import Cell, Store, read_json, write_json
+from eval.localizing import localization_of
 from eval.mean_curves import curves_of
 from l2p.io.atomic import atomic_file
 from l2p.io.recovery_files import load_recovery
@@ -20,15 +22,18 @@ from l2p.programs.commits import source_digest
 Row = dict[str, Any]
 
 
-def score(cell: Cell, store: Store) -> Row:
-    """Return the row of a predicted cell; score it only if prediction or measures have changed since the last time."""
-    stamp = _stamp(cell, store)
+def score(cell: Cell, store: Store, queries: int = 0) -> Row:
+    """Return the row of a predicted cell; score it only if prediction or measures have changed since the last time.
+
+    Of a COLMAP model, at most so many images are also localized in the line cloud (``queries``).
+    """
+    stamp = _stamp(cell, store, queries)
     path = store.scores / f"{cell.key}.json"
     if path.is_file():
         kept = read_json(path)
         if kept["stamp"] == stamp:
             return kept["row"]
-    row = _row(cell, store)
+    row = _row(cell, store, queries)
     write_json(path, {"stamp": stamp, "row": row})
     return row
 
@@ -52,8 +57,10 @@ def write_results(store: Store, rows: list[Row], about: dict[str, Any]) -> None:
     write_json(store.folder / "results.json", {**about, **axes, "rows": rows})
 
 
-def _stamp(cell: Cell, store: Store) -> str:
+def _stamp(cell: Cell, store: Store, queries: int) -> str:
     measures = " ".join([*(figure.name for figure in _figures()), source_digest("judging")])
+    if queries:
+        measures += f" {queries} {source_digest('utility')}"
     return hashlib.sha256(store.record(cell).read_bytes() + measures.encode()).hexdigest()[:16]
 
 
@@ -62,9 +69,9 @@ def _figures() -> list[Figure]:
     return [figure for figure in figures() if figure.need is not Need.METRIC]
 
 
-def _row(cell: Cell, store: Store) -> Row:
+def _row(cell: Cell, store: Store, queries: int) -> Row:
     recovery, record = load_recovery(store.prediction(cell)), read_json(store.record(cell))
-    found = compare(recovery, cell.hidden().truth)
+    found = replace(compare(recovery, cell.hidden().truth), localization=localization_of(cell, queries))
     values = measured(found)
     return {
         "scene": cell.scene.name,

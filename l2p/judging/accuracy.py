@@ -18,6 +18,7 @@ from l2p.geometry.points import nearest_neighbors
 from l2p.judging.neighbours import right_neighbors
 from l2p.maps.recovery import Recovery
 from l2p.maps.truth import Truth
+from l2p.utility.localization import Localization
 
 #: Error thresholds of the reported shares, in spacings.
 SPACINGS = (0.25, 0.5, 1.0, 2.0, 5.0)
@@ -109,6 +110,8 @@ class Outcome:
         Confidence of the recovered row, 0 where there is none.
     metric : bool
         The scene is in metres.
+    localization : Localization or None
+        Cameras localized in the map that was attacked, and in its points as they are.
     """
 
     recovery: Recovery
@@ -118,6 +121,7 @@ class Outcome:
     error: Float[np.ndarray, " points"]
     confidence: Float[np.ndarray, " points"]
     metric: bool = False
+    localization: Localization | None = None
 
     @property
     def inside(self) -> Bool[np.ndarray, " points"]:

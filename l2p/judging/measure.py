@@ -15,6 +15,8 @@ import numpy as np
 from l2p.judging.accuracy import CENTIMETRES, SPACINGS, Outcome
 from l2p.judging.calibration import calibration_error, most_confident, ranking
 from l2p.judging.neighbours import neighbor_scores
+from l2p.utility import POINTS
+from l2p.utility.localization import finite
 
 #: Least value in a geometric mean, so that an error of 0 (points that coincide) does not make it 0.
 LEAST = 1e-6
@@ -48,6 +50,7 @@ class Need(Enum):
     CALIBRATED = auto()  # a confidence that is a probability
     RANKS = auto()  # a confidence that differs from point to point
     METRIC = auto()  # a scene in metres
+    LOCALIZED = auto()  # cameras that were localized in the map
     NEIGHBORS = auto()  # the neighbours that an attack used, and lines that hide one point each
 
 
@@ -126,6 +129,7 @@ def _met(outcome: Outcome) -> set[Need | None]:
         Need.CALIBRATED: outcome.recovery.calibrated,
         Need.RANKS: outcome.ranks,
         Need.METRIC: outcome.metric,
+        Need.LOCALIZED: outcome.localization is not None,
         Need.NEIGHBORS: outcome.right is not None,
     }
     return {need for need, met in needs.items() if met}
@@ -249,5 +253,34 @@ NEIGHBOURS = Measure(
     _neighbours,
 )
 
+
+def _localization(outcome: Outcome) -> dict[str, Value]:
+    """Errors of the cameras in the hidden map and in its points; None where half of them were lost."""
+    localization = outcome.localization
+    assert localization is not None
+    limit, found = localization.limits[1], {}
+    for trial in localization.trials:
+        what = "points" if trial.scheme == POINTS else "lines"
+        found[f"{what}_position"] = finite(100 * trial.position / localization.extent)
+        found[f"{what}_rotation"] = finite(trial.rotation)
+        found[f"{what}_localized"] = trial.within(limit, localization.extent)
+    return found
+
+
+def _localized(what: str) -> tuple[Figure, ...]:
+    """Figures of cameras that are localized in lines or points."""
+    made = [
+        ("position", "median position error (% of the cameras' extent)", Form.NUMBER, geometric_mean),
+        ("rotation", "median rotation error (deg)", Form.NUMBER, geometric_mean),
+        ("localized", "localized", Form.SHARE, arithmetic_mean),
+    ]
+    return tuple(
+        Figure(f"{what}_{name}", f"cameras in {what}: {heading}", form, pool, Need.LOCALIZED, page=False)
+        for name, heading, form, pool in made
+    )
+
+
+LOCALIZATION = Measure((*_localized("lines"), *_localized("points")), _localization)
+
 #: Every measure, in the order of the tables.
-MEASURES: tuple[Measure, ...] = (ACCURACY, CONFIDENCE, NEIGHBOURS)
+MEASURES: tuple[Measure, ...] = (ACCURACY, CONFIDENCE, NEIGHBOURS, LOCALIZATION)

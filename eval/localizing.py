@@ -1,0 +1,31 @@
+"""Localization of a model's images in the line clouds of a run, beside what is recovered from them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from eval.cells import Cell
+from l2p.io.kinds import Kind, kind_of
+from l2p.utility.localization import Localization
+from l2p.utility.queries import Queries
+from l2p.utility.releases import LocalizeConfig, localize_hidden, read_queries
+
+
+def localization_of(cell: Cell, queries: int) -> Localization | None:
+    """Localize the images of the cell's scene in its line cloud and its points; None if it is no COLMAP model."""
+    if not queries or cell.scene.source.startswith("sim:") or kind_of(cell.scene.source) is not Kind.SCENE_MODEL:
+        return None
+    return _localized(cell.scene.source, cell.fraction, cell.seed, queries)
+
+
+@lru_cache(maxsize=256)
+def _localized(source: str, fraction: float, seed: int, queries: int) -> Localization:
+    """Localize once for all methods of a line cloud."""
+    hidden = Cell.hidden_scene(source, fraction, seed)
+    config = LocalizeConfig(most_queries=queries, seed=seed)
+    return localize_hidden(_queries(source), {fraction: hidden}, config)
+
+
+@lru_cache(maxsize=4)
+def _queries(source: str) -> Queries:
+    return read_queries(source)[1]
