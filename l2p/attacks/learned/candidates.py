@@ -22,8 +22,8 @@ from l2p.geometry.elements import Lines, picked
 from l2p.geometry.nearest import Nearest
 from l2p.geometry.pairs import PARALLEL, point_line_distance
 
-#: Lines per block of the choice of candidates.
-_BLOCK = 4096
+#: Lines per block of the choice of candidates; their vectors stay in the cache.
+_BLOCK = 512
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,6 @@ the mean of exp(s_ij) over the points j of the map is 1.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -31,8 +30,10 @@ SOURCES = (*ATTRIBUTES, OTHER, TAUGHT)
 _DESCRIPTOR_GAIN, _COLOUR_GAIN = 10.0, 4.0
 #: Points of the map over which exp(s_ij) is averaged.
 _BACKGROUND = 2048
-#: Rows per block.
-_BLOCK = 4096
+#: Rows per block, where they are embedded, and where they are compared, so that the products stay in the cache.
+_BLOCK, _COMPARED = 4096, 256
+#: Least mean of exponentials.
+_TINY = 1e-30
 
 
 class Embedding(nn.Module):
@@ -95,27 +96,35 @@ def embedded(
     embedding: Embedding, attributes: Mapping[str, Float[Tensor, "lines width"]], of: tuple[str, ...]
 ) -> Appearances:
     """Embed all lines by their attributes, at least one."""
+    return compared(vectors(embedding, attributes), of)
+
+
+def vectors(
+    embedding: Embedding, attributes: Mapping[str, Float[Tensor, "lines width"]]
+) -> Float[Tensor, "lines size"]:
+    """Compute f(u) of all lines."""
     count = len(next(iter(attributes.values())))
-    vector = torch.cat(
+    return torch.cat(
         [
             embedding({name: value[begin : begin + _BLOCK] for name, value in attributes.items()})
             for begin in range(0, count, _BLOCK)
         ]
     )
-    return compared(vector, of)
 
 
 def compared(vector: Float[Tensor, "lines size"], of: tuple[str, ...]) -> Appearances:
     """Compare the vectors of a map with each other."""
     # Lines are sorted by their coordinates, so every n-th is a fair sample.
     some = vector[:: max(1, len(vector) // _BACKGROUND)]
-    background = [torch.logsumexp(part @ some.T, dim=1) for part in vector.split(_BLOCK)]
-    return Appearances(vector, torch.cat(background) - math.log(len(some)), of)
+    # No product is larger than the largest square, so that no exponential overflows.
+    most = vector.square().sum(dim=1).amax()
+    mean = [(part @ some.T).sub_(most).exp_().mean(dim=1) for part in vector.split(_COMPARED)]
+    return Appearances(vector, torch.cat(mean).clamp_min_(_TINY).log_() + most, of)
 
 
-def averaged(one: Appearances, other: Appearances) -> Appearances:
-    """Average the products f(u_i) . f(u_j) of two embeddings."""
-    return compared(torch.cat([one.vector, other.vector], dim=1) * 0.5**0.5, one.of)
+def averaged(one: Float[Tensor, "lines some"], other: Float[Tensor, "lines others"]) -> Float[Tensor, "lines both"]:
+    """Vectors whose products are the means of the products f(u_i) . f(u_j) of two embeddings."""
+    return torch.cat([one, other], dim=1) * 0.5**0.5
 
 
 def unit(descriptor: Float[Tensor, "rows length"]) -> Float[Tensor, "rows length"]:

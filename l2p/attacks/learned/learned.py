@@ -19,7 +19,17 @@ from torch import Tensor
 from l2p.attacks.attack import Attack, Elements, Estimate
 from l2p.attacks.learned.candidates import Candidates, most_alike
 from l2p.attacks.learned.edges import Edges, edges_of
-from l2p.attacks.learned.embedding import OTHER, TAUGHT, Embedding, averaged, check_length, embedded, new_embedding
+from l2p.attacks.learned.embedding import (
+    OTHER,
+    TAUGHT,
+    Embedding,
+    averaged,
+    check_length,
+    compared,
+    embedded,
+    new_embedding,
+    vectors,
+)
 from l2p.attacks.learned.inputs import inputs_of
 from l2p.attacks.learned.inputs.family import Inputs
 from l2p.attacks.learned.knowledge import LINES_ALONE, Calibrations, between_radii, knowledges
@@ -259,10 +269,11 @@ class Learned(Attack):
         if work.shards.rank == 0:
             pupil = taught(pupil, published, nodes.point, nodes.confidence, config, fresh, work)
         names = tuple(OTHER if fresh and name == "descriptor" else name for name in published)
-        appearance = embedded(pupil, published, (*names, TAUGHT))
+        found = vectors(pupil, published)
         if not fresh:
             # What the map teaches is not better than what is known of other maps; both are better than either.
-            appearance = averaged(appearance, embedded(state.embedding, published, names))
+            found = averaged(found, vectors(state.embedding, published))
+        appearance = compared(found, (*names, TAUGHT))
         vector, background = (work.shards.first(part) for part in (appearance.vector, appearance.background))
         attributes = {**elements.attributes, "appearance": appearance._replace(vector=vector, background=background)}
         return state._replace(elements=replace(elements, attributes=attributes))

@@ -7,6 +7,7 @@ embedding further, from that of the checkpoint, or from nothing if the checkpoin
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
+from torch.optim.adamw import adamw
 
 from l2p.attacks.learned.embedding import Embedding
 from l2p.errors import InputError
@@ -21,6 +23,10 @@ from l2p.work.work import ALONE, Work
 
 #: Share of the steps of a lesson in which the learning rate rises.
 _RISING = 0.1
+#: Learning rate of the first step, over the largest.
+_FIRST = 0.04
+#: AdamW's decay of the means of slopes and of their squares, and its epsilon.
+_BETAS, _EPSILON = (0.9, 0.999), 1e-8
 
 
 @dataclass(frozen=True)
@@ -123,9 +129,8 @@ def _trained(
     def lesson() -> Tensor:
         first = torch.randint(count, (min(config.batch, count),), generator=draw)
         second = near[first, torch.randint(neighbors, (len(first),), generator=draw)]
-        here, there = (
-            learning({name: value[rows.to(device)] for name, value in attributes.items()}) for rows in (first, second)
-        )
+        rows = torch.cat([first, second]).to(device)
+        here, there = learning({name: value[rows] for name, value in attributes.items()}).split(len(first))
         return contrast(here, there)
 
     return descended(learning, lesson, steps, config.rate * (1 + fresh), config.decay, _RISING, advance)
@@ -143,17 +148,42 @@ def descended(
     """Minimise the loss that ``lesson`` returns, by AdamW with one cycle of the learning rate; return it frozen.
 
     ``rate`` is the largest learning rate, ``decay`` the weight decay, ``rising`` the share of steps to the largest.
+
+    Notes
+    -----
+    The steps are those of ``torch.optim.AdamW``, whose class would load torch's compiler, which takes 3 seconds.
     """
-    optimizer = torch.optim.AdamW(embedding.parameters(), lr=rate, weight_decay=decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, steps + 1, pct_start=rising)
-    for _ in range(steps):
-        loss = lesson()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
+    weights: list[Tensor] = list(embedding.parameters())
+    means, squares = ([torch.zeros_like(weight) for weight in weights] for _ in range(2))
+    counts = [torch.zeros(()) for _ in weights]
+    for step in range(steps):
+        slopes = torch.autograd.grad(lesson(), weights)
+        with torch.no_grad():
+            adamw(
+                weights,
+                list(slopes),
+                means,
+                squares,
+                [],
+                counts,
+                foreach=False,
+                amsgrad=False,
+                beta1=_BETAS[0],
+                beta2=_BETAS[1],
+                lr=rate * _cycle(step / steps, rising),
+                weight_decay=decay,
+                eps=_EPSILON,
+                maximize=False,
+            )
         advance(1)
     return embedding.requires_grad_(False).eval()
+
+
+def _cycle(done: float, rising: float) -> float:
+    """Learning rate at a share of the steps, over the largest: up, then down, by cosines (Smith and Topin, 2018)."""
+    if done < rising:
+        return _FIRST + (1 - _FIRST) * 0.5 * (1 - math.cos(math.pi * done / rising))
+    return 0.5 * (1 + math.cos(math.pi * (done - rising) / (1 - rising)))
 
 
 def contrast(here: Float[Tensor, "batch size"], there: Float[Tensor, "batch size"]) -> Float[Tensor, ""]:
