@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from l2p.attacks.named import named_attack
 from l2p.attacks.run import recover
 from l2p.attacks.settings import DEFAULT_METHOD, owners_of
 from l2p.auditing import FRACTIONS
 from l2p.auditing.attackers import Attacker, attackers_of, others
+from l2p.auditing.left_out import LeftOut
 from l2p.checks import check_fraction
 from l2p.errors import InputError
 from l2p.judging.accuracy import compare, spacing
@@ -32,6 +33,7 @@ from l2p.judging.scores import Scores
 from l2p.maps.appearance import ATTRIBUTES
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
+from l2p.maps.region import kept_rows
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
 from l2p.schemes.hide import hide
@@ -134,7 +136,7 @@ class Audit:
     name : str
         Name of the map, chosen by the user.
     points : int
-        Number of points of the map; of lines, if a line cloud was given.
+        Number of points of the map, also of those left out; of lines, if a line cloud was given.
     spacing : float
         Spacing of the whole map, scene units; estimated from the recovered points if a line cloud was given.
     trials : tuple of Trial
@@ -151,6 +153,8 @@ class Audit:
         Attributes of the map that attackers may use, also if the method uses none.
     ignored : tuple of str
         Attributes that were left out on request.
+    left_out : LeftOut or None
+        Points that were left out on request.
     """
 
     name: str
@@ -163,6 +167,7 @@ class Audit:
     camera_centers: Float[np.ndarray, "cameras 3"] | None = None
     published: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
+    left_out: LeftOut | None = None
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -210,6 +215,7 @@ class Audit:
             "method": self.method,
             "published": list(self.published),
             "ignored": list(self.ignored),
+            "left_out": None if self.left_out is None else self.left_out.as_dict(),
             "versions": versions(),
             "machine": {**machine(), "threads": torch.get_num_threads()},
             "thresholds": THRESHOLDS.tolist(),
@@ -225,6 +231,7 @@ def audit(
     *,
     method: str = DEFAULT_METHOD,
     ignore: Collection[str] = (),
+    drop: Bool[np.ndarray, " points"] | None = None,
     metric: bool = False,
     device: str = "cpu",
     memory: float | None = None,
@@ -250,6 +257,9 @@ def audit(
         See :func:`l2p.recover`; attacks that use the fraction of the points get the true one.
     ignore : collection of str
         Attributes that no attacker may use, some of ``rgb`` and ``descriptor``: those that will not be published.
+    drop : (points,) bool, optional
+        True for each point to leave out before any is published (:func:`l2p.hide`). The audit says how many of them
+        have something within 1 spacing that is still there. Not with a line cloud.
     metric : bool
         The scene is in metres.
     progress : Progress
@@ -267,8 +277,8 @@ def audit(
     FileNotFoundError
         If the checkpoint does not exist.
     InputError
-        If a fraction is out of range or given with a line cloud, an attribute is unknown, the points have no extent, or
-        as for :func:`l2p.recover`.
+        If a fraction is out of range, an attribute is unknown, none or all of the points are dropped, fractions or
+        points to drop are given with a line cloud, the points have no extent, or as for :func:`l2p.recover`.
 
     Examples
     --------
@@ -279,6 +289,8 @@ def audit(
     """
     if isinstance(scene, LineCloud) and fractions is not None:
         raise InputError("got fractions for a line cloud; expected none, since it is attacked as it is")
+    if isinstance(scene, LineCloud) and drop is not None:
+        raise InputError("got points to drop for a line cloud, which has none; drop them when the map is lifted")
     scene = scene if isinstance(scene, LineCloud | Scene) else Scene(scene)
     published = scene.appearance.without(ignore)
     attackers = attackers_of(named_attack(method, **settings), published)
@@ -290,12 +302,16 @@ def audit(
         scale = spacing(trials[0].recovery.xyz)
         return Audit(name, len(scene), scale, trials, method, None, metric, None, published.names, ignored)
     wanted = _fractions(FRACTIONS if fractions is None else fractions)
+    kept = len(scene) if drop is None else len(kept_rows(drop, len(scene)))
     scale = spacing(scene.xyz)
     trials = ()
-    with _task(progress, [max(1, round(len(scene) * share)) for share in wanted], attackers) as advance:
+    with _task(progress, [max(1, round(kept * share)) for share in wanted], attackers) as advance:
         for share in wanted:
-            trials = (*_trials(scene, share, seed, scale, attackers, attack, metric, advance), *trials)
-    return Audit(name, len(scene), scale, trials, method, seed, metric, scene.camera_centers, published.names, ignored)
+            trials = (*_trials(scene, drop, share, seed, scale, attackers, attack, metric, advance), *trials)
+    pairs = [(trial.recovery, trial.truth) for trial in trials if trial.truth is not None]
+    left_out = None if drop is None else LeftOut.of(scene.xyz[drop], pairs, scale)
+    cameras = scene.camera_centers
+    return Audit(name, len(scene), scale, trials, method, seed, metric, cameras, published.names, ignored, left_out)
 
 
 def _fractions(wanted: Sequence[float]) -> list[float]:
@@ -318,6 +334,7 @@ def _task(
 
 def _trials(
     scene: Scene,
+    drop: Bool[np.ndarray, " points"] | None,
     fraction: float,
     seed: int,
     scale: float,
@@ -328,7 +345,7 @@ def _trials(
 ) -> list[Trial]:
     """Lift a fraction of the scene once, attack it as each attacker, and score the recoveries."""
     used = attackers[0]
-    hidden = hide(scene, seed, fraction, rgb="rgb" in used, descriptor="descriptor" in used)
+    hidden = hide(scene, seed, fraction, rgb="rgb" in used, descriptor="descriptor" in used, drop=drop)
     truth = replace(hidden.truth, spacing=scale)
     rgb = None if scene.rgb is None else scene.rgb[truth.index]
     bare, trials = hidden.map.without(ATTRIBUTES), []

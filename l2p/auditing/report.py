@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from l2p.auditing.attackers import named, others, seen_by
 from l2p.auditing.audit import Audit, Trial
 from l2p.auditing.charts import charts
+from l2p.auditing.left_out import LeftOut
 from l2p.auditing.words import sentences
 from l2p.io.atomic import atomic_folder
 from l2p.judging.accuracy import errors
@@ -159,7 +160,8 @@ def _exhibit(trial: Trial, audit: Audit) -> Exhibit:
 def _tables(audit: Audit) -> list[Table]:
     if not audit.known:
         return [_predicted_table(audit)]
-    return [_measured_table(audit), *([_metric_table(audit)] if audit.metric else [])]
+    left_out = [] if audit.left_out is None else [_left_out_table(audit, audit.left_out)]
+    return [_measured_table(audit), *([_metric_table(audit)] if audit.metric else []), *left_out]
 
 
 def _measured_table(audit: Audit) -> Table:
@@ -183,6 +185,17 @@ def _metric_table(audit: Audit) -> Table:
     return _by_trial(
         audit, "In centimetres", heads, rows, "These lengths are right if the units of the map are metres."
     )
+
+
+def _left_out_table(audit: Audit, left_out: LeftOut) -> Table:
+    heads = [Head("Left out"), Head("Of these, within 1 spacing of", ("a recovered point", "a published point"))]
+    rows = [[count(left_out.points), percent(near.recovered), percent(near.published)] for near in left_out.near]
+    note = (
+        "What is left out leaves no line, colour or descriptor. What comes back near it belongs to neighbours that are "
+        "published: at the border, points are near what is left out by nature, which the last column counts with their "
+        "true places; recovered points may also lie there by mistake. The spacing is that of the map with all points."
+    )
+    return _by_trial(audit, "What was left out", heads, rows, note)
 
 
 def _by_trial(audit: Audit, heading: str, heads: Sequence[Head], rows: Sequence[Row], note: str) -> Table:
@@ -251,6 +264,7 @@ def _facts(audit: Audit) -> list[tuple[str, str]]:
     memory = "" if where["memory_gib"] is None else f", {where['memory_gib']:g} GiB"
     facts = [
         ("Given", f"{audit.name}: {count(audit.points)} {'points' if audit.known else 'lines'}"),
+        ("Left out on request", "" if audit.left_out is None else f"{count(audit.left_out.points)} points"),
         ("Published beside the lines", named(audit.published)),
         ("Ignored on request", named(audit.ignored)),
         ("Method", audit.method),

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from l2p.cli.drop import asks_to_drop, drop_words, dropped, warn_of_leaks
 from l2p.cli.flags import settings_of
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
 from l2p.cli.recover import recover as recover
@@ -25,6 +26,7 @@ from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth, truth_bytes
 from l2p.judging.accuracy import matched, spacing
 from l2p.judging.scores import evaluate as score
+from l2p.maps.lines import LineCloud
 from l2p.maps.scene import Scene
 from l2p.schemes.hide import hide
 from l2p.show.tables import descriptor_text, print_info, print_scores, print_shares
@@ -36,7 +38,8 @@ if TYPE_CHECKING:
 
 def lift(arguments: Namespace) -> None:
     """Run ``l2p lift``."""
-    inputs = [path for path in (arguments.scene, arguments.descriptors or None) if path is not None]
+    given = (arguments.scene, arguments.descriptors or None, arguments.drop_ids, arguments.drop_masks)
+    inputs = [path for path in given if path is not None]
     check_outputs(inputs, [arguments.output, arguments.truth], arguments.force)
     described = arguments.descriptors is not None
     asked = {"rgb": arguments.rgb, "descriptor": described}
@@ -44,7 +47,8 @@ def lift(arguments: Namespace) -> None:
     scene, source = _described_scene(arguments.scene, arguments.descriptors)
     if arguments.rgb and scene.rgb is None:
         raise InputError(f"{arguments.scene} has no colours; leave out --rgb")
-    hidden = hide(scene, arguments.seed, arguments.fraction, arguments.scheme, arguments.rgb, described)
+    drop, left_out = dropped(arguments, scene)
+    hidden = hide(scene, arguments.seed, arguments.fraction, arguments.scheme, arguments.rgb, described, drop=drop)
     with ExitStack() as stack:
         if arguments.truth is not None:
             # Renamed after the lines are written, so that a failure leaves neither file.
@@ -52,8 +56,11 @@ def lift(arguments: Namespace) -> None:
             truth.write(truth_bytes(replace(hidden.truth, spacing=spacing(scene.xyz))))
         save_lines(hidden.map, arguments.output, overwrite=arguments.force)
     print(f"{arguments.output}: {len(hidden.map)} lines of {len(scene)} points")
+    if left_out:
+        print(left_out)
     if source is not None:
         print(f"descriptors of {_shown(str(source))}: {descriptor_text(hidden.map.appearance)}")
+    warn_of_leaks(arguments.scene)
 
 
 def evaluate(arguments: Namespace) -> None:
@@ -81,6 +88,8 @@ def audit(arguments: Namespace) -> None:
     lines_given = kind_of(arguments.scene) in LINE_CLOUDS
     if lines_given and arguments.descriptors is not None:
         raise InputError("got --descriptors for a line cloud; expected none, since its file has all that is published")
+    if lines_given and asks_to_drop(arguments):
+        raise InputError("got --drop-... for a line cloud, whose points are unknown; expected it of l2p lift")
     scene = load_lines(arguments.scene) if lines_given else _described_scene(arguments.scene, arguments.descriptors)[0]
     set_threads(arguments.threads)
     found = examine(
@@ -89,6 +98,7 @@ def audit(arguments: Namespace) -> None:
         arguments.seed,
         method=arguments.method,
         ignore=arguments.ignore,
+        drop=None if isinstance(scene, LineCloud) else dropped(arguments, scene)[0],
         metric=arguments.metric,
         device=arguments.device,
         memory=arguments.memory,
@@ -189,6 +199,7 @@ def demo(arguments: Namespace) -> None:
 def _check_report(arguments: Namespace, files: Iterable[str]) -> None:
     """Refuse wrong arguments of an audit before the scene is read."""
     given = (arguments.scene, arguments.checkpoint, arguments.descriptors or None)
+    given += (arguments.drop_ids, arguments.drop_masks)
     inputs = [path for path in given if path is not None]
     check_outputs(inputs, [file_of(arguments.json)], arguments.force)
     check_folder(arguments.output, overwrite=arguments.force, replaceable=frozenset(files))
@@ -209,6 +220,7 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
     if arguments.descriptors is not None:
         words += ["--descriptors", *([arguments.descriptors] if arguments.descriptors else [])]
     words += ["--ignore", ",".join(arguments.ignore)] if arguments.ignore else []
+    words += drop_words(arguments)
     words += [] if lines_given else ["--seed", str(arguments.seed)]
     words += ["--method", arguments.method]
     flags = {**settings_of(arguments), **{name: getattr(arguments, name) for name in ("device", "threads", "memory")}}

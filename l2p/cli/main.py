@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from l2p.auditing import FRACTIONS
-from l2p.cli.flags import add_method
+from l2p.cli.flags import add_drop, add_method
 from l2p.errors import InputError, LostProcessError, sentence
 from l2p.judging import CLEANING
 from l2p.maps import ATTRIBUTES
@@ -57,7 +58,12 @@ def _left(arguments: argparse.Namespace) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that reports an error in one line, without the usage."""
+    """Parser that reports an error in one line, without the usage, and takes -1e-3 and -inf for numbers."""
+
+    def __init__(self, *words: Any, **names: Any) -> None:
+        super().__init__(*words, **names)
+        # argparse's own, until Python 3.14, takes what has an exponent for an option.
+        self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$|-inf$", re.IGNORECASE)
 
     def error(self, message: str) -> NoReturn:
         _complain(f"{message} (see {self.prog} --help)")
@@ -119,6 +125,7 @@ def _add_lift(commands: Any) -> None:
         help="store the descriptors of the points, which help an attacker more: those of FILE (COLMAP's database.db, "
         "hloc's features, or npz), or, without FILE, those of an npz scene or found beside a COLMAP model",
     )
+    add_drop(lift)
     _add_force(lift)
 
 
@@ -219,6 +226,7 @@ def _add_audit(commands: Any) -> None:
         "an npz scene has its own",
     )
     _add_ignore(audit, "of the map")
+    add_drop(audit)
     audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
     audit.add_argument(
         "--max-view-points",
