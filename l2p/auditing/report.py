@@ -154,6 +154,7 @@ def _exhibit(trial: Trial, audit: Audit) -> Exhibit:
         calibrated=audit.calibrated,
         error=None if truth is None else errors(recovery, truth) / audit.spacing,
         camera_centers=audit.camera_centers,
+        spacing=audit.spacing,
     )
 
 
