@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from os import PathLike
 
 import numpy as np
@@ -23,8 +24,10 @@ def load_ids(path: str | PathLike[str]) -> Int[np.ndarray, " ids"]:
     FileNotFoundError
         If there is no file.
     InputError
-        If it is damaged or empty, or a word or a number is no id.
+        If it is a folder, damaged or empty, or a word or a number is no id.
     """
+    if os.path.isdir(path):
+        raise InputError(f"{path} is a folder; {_EXPECTED}")
     with open(path, "rb") as file:
         head = file.read(8)
     if head.startswith(b"PK"):

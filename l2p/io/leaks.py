@@ -68,7 +68,7 @@ def _matching(folder: Path, pattern: str, gives: str, known: dict[str, str]) -> 
 def _tells(path: Path) -> bool:
     """Whether a file gives points away: line clouds and recoveries do not, nor do npz files that l2p cannot read."""
     if path.suffix not in (".ply", ".npz") or path.name == BESIDE:
-        return path.is_file()
+        return os.path.isfile(path)
     try:
         kind = kind_of(path)
     except (InputError, OSError):

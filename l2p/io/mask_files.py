@@ -110,6 +110,6 @@ def _looked_up(
 ) -> Bool[np.ndarray, " observations"]:
     """Whether each keypoint (x, y in pixels) is in a black pixel, or outside of the picture."""
     height, width = black.shape
-    inside = ((xy >= 0) & (xy < (width, height))).all(axis=1)
-    column, row = np.where(inside[:, None], xy, 0).astype(np.int64).T
+    inside = np.all((xy >= 0) & (xy < (width, height)), axis=1)
+    column, row = np.where(inside[:, np.newaxis], xy, 0).astype(np.int64).T
     return ~inside | black[row, column]

@@ -51,7 +51,7 @@ class Box:
 
     def contains(self, xyz: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
         """Mask of the points in the box or on a side of it."""
-        return ((xyz >= np.array(self.low)) & (xyz <= np.array(self.high))).all(axis=1)
+        return np.all((xyz >= np.array(self.low)) & (xyz <= np.array(self.high)), axis=1)
 
 
 def kept_rows(drop: object, points: int) -> Int[np.ndarray, " kept"]:

@@ -27,7 +27,7 @@ def files(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("files")
     simulate_model("room", 300, 2).save_colmap(folder / "model")
     scene = l2p.load(folder / "model", l2p.Scene)
-    assert scene.ids is not None
+    assert scene.ids is not None and scene.rgb is not None
     np.savez(folder / "scene.npz", xyz=scene.xyz, rgb=scene.rgb)
     l2p.save(l2p.lift(scene, seed=0), folder / "lines.npz")
     (folder / "ids.txt").write_text("\n".join(map(str, scene.ids[10:40])))
@@ -164,7 +164,7 @@ BAD = [
     (("scene.npz", "--drop-box", 0, 0, 0, 1, 1, "x"), "argument --drop-box: invalid float value: 'x'"),
     (("scene.npz", "--drop-ids", "ids.txt"), "got point ids ids.txt for a scene without ids"),
     (("model", "--drop-ids", "absent.txt"), "absent.txt: no such file"),
-    (("model", "--drop-ids", "masks"), "masks: is a directory"),
+    (("model", "--drop-ids", "masks"), "masks is a folder; expected point ids as text"),
     (("model", "--drop-ids", "scene.npz"), "scene.npz has no point3D_id"),
     (("scene.npz", "--drop-masks", "masks"), "--drop-masks for a scene without images; expected a COLMAP model"),
     (("model", "--drop-masks", "absent"), "absent is not a folder; expected a folder of masks"),

@@ -75,6 +75,8 @@ def test_objects_are_never_unpickled_and_cut_files_are_refused(tmp_path):
         load_ids(tmp_path / "other.npz")
     with pytest.raises(FileNotFoundError):
         load_ids(tmp_path / "absent")
+    with pytest.raises(InputError, match="is a folder; expected point ids"):
+        load_ids(tmp_path)
 
 
 def test_points_are_found_by_their_ids(tmp_path, rng):

@@ -59,7 +59,7 @@ function errorsOf({ points, recovered }, rows) {
     * radius / data.spacing);
 }
 function median(values) {
-  const ordered = values.toSorted((one, other) => one - other), half = ordered.length >> 1;
+  const ordered = [...values].sort((one, other) => one - other), half = ordered.length >> 1;
   return ordered.length % 2 ? ordered[half] : (ordered[half - 1] + ordered[half]) / 2;
 }
 
