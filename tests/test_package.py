@@ -145,7 +145,7 @@ def test_wheel_ships_the_whole_package_and_nothing_else():
     [
         "l2p/py.typed",
         *("l2p/weights/learned.safetensors", "l2p/weights/README.md"),
-        *(f"l2p/show/page/templates/{name}" for name in ("audit.html", "page.css", "viewer.js")),
+        *(f"l2p/show/page/templates/{name}" for name in ("audit.html", "page.css", "region.js", "viewer.js")),
     ],
 )
 def test_package_data_are_there_and_not_ignored(file):

@@ -9,31 +9,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float
 
 from l2p.attacks.named import named_attack
 from l2p.attacks.run import recover
 from l2p.attacks.settings import DEFAULT_METHOD, owners_of
 from l2p.auditing import FRACTIONS
 from l2p.auditing.attackers import Attacker, attackers_of, others
+from l2p.auditing.left_out import LeftOut
+from l2p.auditing.trial import Prediction, Trial
 from l2p.checks import check_fraction
 from l2p.errors import InputError
 from l2p.judging.accuracy import compare, spacing
-from l2p.judging.curves import SHARES, THRESHOLDS, Curves, measured_curves, predicted_curves
+from l2p.judging.curves import SHARES, THRESHOLDS, measured_curves, predicted_curves
 from l2p.judging.measure import measured
 from l2p.judging.provenance import machine, versions
 from l2p.judging.scores import Scores
 from l2p.maps.appearance import ATTRIBUTES
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
+from l2p.maps.region import kept_rows
 from l2p.maps.scene import Scene
-from l2p.maps.truth import Truth
 from l2p.schemes.hide import hide
 from l2p.utility.localization import Localization
 from l2p.utility.queries import Queries
@@ -46,88 +48,6 @@ _Recover = Callable[[LineCloud, float], Recovery]
 AUDIT_VERSION = 3
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """Scores predicted from the calibrated confidence, without the truth.
-
-    Attributes
-    ----------
-    within_spacing : float
-        Expected share of points within 1 spacing: the mean confidence.
-    confident_half : float
-        Expected share among the most confident half.
-    """
-
-    within_spacing: float
-    confident_half: float
-
-    @classmethod
-    def of(cls, recovery: Recovery) -> Prediction | None:
-        """Predict from the confidences of a recovery; None if they only rank."""
-        if not recovery.calibrated:
-            return None
-        ordered = np.sort(recovery.confidence.astype(np.float64))[::-1]
-        return cls(float(ordered.mean()), float(ordered[: (len(ordered) + 1) // 2].mean()))
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """One attack of an audit.
-
-    Attributes
-    ----------
-    fraction : float
-        Fraction of the map's points that was lifted.
-    used : tuple of str
-        The attacker: names of the published attributes that the attack used.
-    lines : LineCloud
-        The lines without attributes, one object for all attackers.
-    recovery : Recovery
-        The recovery without neighbours and affinities.
-    truth : Truth or None
-        The points behind the lines; None if the audit was given a line cloud.
-    rgb : (lines, 3) uint8 or None
-        Colours of the points behind the lines, for pictures, also if the attack did not use them.
-    scores : Scores or None
-        None without the truth.
-    prediction : Prediction or None
-        None if the confidence of the method is no probability.
-    curves : Curves
-    """
-
-    fraction: float
-    used: Attacker
-    lines: LineCloud
-    recovery: Recovery
-    truth: Truth | None
-    rgb: UInt8[np.ndarray, "lines 3"] | None
-    scores: Scores | None
-    prediction: Prediction | None
-    curves: Curves
-
-    @property
-    def seconds(self) -> float:
-        """Wall time of the attack."""
-        return float(self.recovery.info["seconds"])
-
-    @property
-    def within(self) -> float | None:
-        """Share of points within 1 spacing: measured if possible, else predicted, else None."""
-        if self.scores is not None:
-            return self.scores.within_spacings["1"]
-        return None if self.prediction is None else self.prediction.within_spacing
-
-    @property
-    def confident_half(self) -> float | None:
-        """The same share among the most confident half."""
-        if self.scores is not None:
-            return self.scores.confident_half
-        return None if self.prediction is None else self.prediction.confident_half
-
-    def __len__(self) -> int:
-        return len(self.lines)
-
-
 @dataclass(frozen=True, eq=False)
 class Audit:
     """Results of an audit.
@@ -137,7 +57,7 @@ class Audit:
     name : str
         Name of the map, chosen by the user.
     points : int
-        Number of points of the map; of lines, if a line cloud was given.
+        Number of points of the map, also of those left out; of lines, if a line cloud was given.
     spacing : float
         Spacing of the whole map, scene units; estimated from the recovered points if a line cloud was given.
     trials : tuple of Trial
@@ -154,8 +74,12 @@ class Audit:
         Attributes of the map that attackers may use, also if the method uses none.
     ignored : tuple of str
         Attributes that were left out on request.
+    left_out : LeftOut or None
+        Points that were left out on request.
     localization : Localization or None
         Images of the map, localized in its releases; None without queries.
+    undropped : Localization or None
+        The same at the largest fraction if no point were left out; None if none was.
     """
 
     name: str
@@ -168,12 +92,19 @@ class Audit:
     camera_centers: Float[np.ndarray, "cameras 3"] | None = None
     published: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
+    left_out: LeftOut | None = None
     localization: Localization | None = None
+    undropped: Localization | None = None
 
     @property
     def scheme(self) -> str:
         """Scheme of the lines."""
         return self.trials[0].lines.scheme
+
+    @property
+    def kept(self) -> float:
+        """Share of the map's points that were not left out."""
+        return 1 - (0 if self.left_out is None else self.left_out.points / self.points)
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -221,11 +152,12 @@ class Audit:
             "method": self.method,
             "published": list(self.published),
             "ignored": list(self.ignored),
+            "left_out": None if self.left_out is None else self.left_out.as_dict(),
             "versions": versions(),
             "machine": {**machine(), "threads": torch.get_num_threads()},
             "thresholds": THRESHOLDS.tolist(),
             "coverage": SHARES.tolist(),
-            "trials": [_as_dict(trial) for trial in self.trials],
+            "trials": [trial.as_dict() for trial in self.trials],
             "localization": None if self.localization is None else self.localization.as_dict(),
         }
 
@@ -237,6 +169,7 @@ def audit(
     *,
     method: str = DEFAULT_METHOD,
     ignore: Collection[str] = (),
+    drop: Bool[np.ndarray, " points"] | None = None,
     metric: bool = False,
     device: str = "cpu",
     memory: float | None = None,
@@ -264,6 +197,9 @@ def audit(
         See :func:`l2p.recover`; attacks that use the fraction of the points get the true one.
     ignore : collection of str
         Attributes that no attacker may use, some of ``rgb`` and ``descriptor``: those that will not be published.
+    drop : (points,) bool, optional
+        True for each point to leave out before any is published (:func:`l2p.hide`). The audit says how many of them
+        have something within 1 spacing that is still there. Not with a line cloud.
     metric : bool
         The scene is in metres.
     queries : Queries, optional
@@ -286,8 +222,8 @@ def audit(
     FileNotFoundError
         If the checkpoint does not exist.
     InputError
-        If a fraction is out of range or given with a line cloud, an attribute is unknown, the points have no extent, or
-        as for :func:`l2p.recover`.
+        If a fraction is out of range, an attribute is unknown, none or all of the points are dropped, fractions or
+        points to drop are given with a line cloud, the points have no extent, or as for :func:`l2p.recover`.
 
     Examples
     --------
@@ -299,6 +235,8 @@ def audit(
     if isinstance(scene, LineCloud) and (fractions is not None or queries is not None):
         what = "queries" if fractions is None else "fractions"
         raise InputError(f"got {what} for a line cloud; expected none, since it is attacked as it is")
+    if isinstance(scene, LineCloud) and drop is not None:
+        raise InputError("got points to drop for a line cloud, which has none; drop them when the map is lifted")
     scene = scene if isinstance(scene, LineCloud | Scene) else Scene(scene)
     published = scene.appearance.without(ignore)
     attackers = attackers_of(named_attack(method, **settings), published)
@@ -310,18 +248,36 @@ def audit(
         scale = spacing(trials[0].recovery.xyz)
         return Audit(name, len(scene), scale, trials, method, None, metric, None, published.names, ignored)
     wanted = _fractions(FRACTIONS if fractions is None else fractions)
+    kept = len(scene) if drop is None else len(kept_rows(drop, len(scene)))
     scale = spacing(scene.xyz)
     trials = ()
-    with _task(progress, [max(1, round(len(scene) * share)) for share in wanted], attackers) as advance:
+    with _task(progress, [max(1, round(kept * share)) for share in wanted], attackers) as advance:
         for share in wanted:
-            trials = (*_trials(scene, share, seed, scale, attackers, attack, metric, advance), *trials)
-    found = None
-    if queries is not None:
-        hidden = {share: hide(scene, seed, share) for share in reversed(wanted)}
-        found = localize_hidden(queries, hidden, localizing or LocalizeConfig(), metric, progress, name)
-    return Audit(
-        name, len(scene), scale, trials, method, seed, metric, scene.camera_centers, published.names, ignored, found
+            trials = (*_trials(scene, drop, share, seed, scale, attackers, attack, metric, advance), *trials)
+    pairs = [(trial.recovery, trial.truth) for trial in trials if trial.truth is not None]
+    found = Audit(
+        name,
+        len(scene),
+        scale,
+        trials,
+        method,
+        seed,
+        metric,
+        scene.camera_centers,
+        published.names,
+        ignored,
+        None if drop is None else LeftOut.of(scene.xyz[drop], pairs, scale),
     )
+    if queries is None:
+        return found
+    config = localizing or LocalizeConfig()
+
+    def localization(shares: Sequence[float], drop: Bool[np.ndarray, " points"] | None) -> Localization:
+        hidden = {share: hide(scene, seed, share, drop=drop) for share in shares}
+        return localize_hidden(queries, hidden, config, metric, progress, name)
+
+    whole = None if drop is None else localization(wanted[-1:], None)
+    return replace(found, localization=localization(wanted[::-1], drop), undropped=whole)
 
 
 def _fractions(wanted: Sequence[float]) -> list[float]:
@@ -344,6 +300,7 @@ def _task(
 
 def _trials(
     scene: Scene,
+    drop: Bool[np.ndarray, " points"] | None,
     fraction: float,
     seed: int,
     scale: float,
@@ -354,7 +311,7 @@ def _trials(
 ) -> list[Trial]:
     """Lift a fraction of the scene once, attack it as each attacker, and score the recoveries."""
     used = attackers[0]
-    hidden = hide(scene, seed, fraction, rgb="rgb" in used, descriptor="descriptor" in used)
+    hidden = hide(scene, seed, fraction, rgb="rgb" in used, descriptor="descriptor" in used, drop=drop)
     truth = replace(hidden.truth, spacing=scale)
     rgb = None if scene.rgb is None else scene.rgb[truth.index]
     bare, trials = hidden.map.without(ATTRIBUTES), []
@@ -385,15 +342,3 @@ def _attack(lines: LineCloud, fraction: float, *, method: str, settings: dict[st
     known = {"fraction": fraction} if method in owners_of("fraction") else {}
     recovery = recover(lines, method, **where, **known, **settings)
     return replace(recovery, neighbors=None, affinity=None)
-
-
-def _as_dict(trial: Trial) -> dict[str, Any]:
-    return {
-        "fraction": trial.fraction,
-        "used": list(trial.used),
-        "lines": len(trial),
-        "attack": trial.recovery.info,
-        "scores": None if trial.scores is None else trial.scores.as_dict(),
-        "prediction": None if trial.prediction is None else asdict(trial.prediction),
-        "curves": trial.curves.as_dict(),
-    }

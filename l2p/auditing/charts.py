@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from l2p.auditing.attackers import named, seen_by
-from l2p.auditing.audit import Audit, Trial
+from l2p.auditing.audit import Audit
+from l2p.auditing.trial import Trial
 from l2p.judging.curves import SHARES, SHOWN, THRESHOLDS
 from l2p.show.page.numbers import fraction, percent
 

@@ -53,7 +53,7 @@ class Option:
     published : tuple of str
         Attributes published with it.
     fraction : float
-        Share of the map's points.
+        Share of the points that is published, of those that are not left out.
     recovered : float
         Share of the *map's* points that come back within 1 spacing, if the attacker uses all that is published.
     alone : float
@@ -162,10 +162,10 @@ def decide(audit: Audit, goal: Goal | None = None) -> Decision | None:
 def _options(audit: Audit, found: Localization, limit: Limit) -> list[Option]:
     described = "descriptor" in audit.published
     options = []
-    full = audit.attackers[0]
+    full, kept = audit.attackers[0], audit.kept
     for fraction in audit.fractions:
         plain = _figures(found, POINTS, fraction, limit)
-        options.append(Option(POINTS, full, fraction, fraction, fraction, 1.0, *plain, matchable=True))
+        options.append(Option(POINTS, full, fraction, kept * fraction, kept * fraction, 1.0, *plain, matchable=True))
     for attacker in audit.attackers:
         for trial in audit.of_attacker(attacker):
             bare = next(each for each in audit.of_attacker(()) if each.fraction == trial.fraction)
@@ -175,8 +175,8 @@ def _options(audit: Audit, found: Localization, limit: Limit) -> list[Option]:
                     audit.scheme,
                     attacker,
                     trial.fraction,
-                    trial.fraction * trial.within,
-                    trial.fraction * bare.within,
+                    kept * trial.fraction * trial.within,
+                    kept * trial.fraction * bare.within,
                     trial.within,
                     *_figures(found, audit.scheme, trial.fraction, limit),
                     matchable=not described or "descriptor" in attacker,
@@ -235,11 +235,12 @@ def _share(text: str, flag: str) -> float:
     return value
 
 
-def lift_command(option: Option, scene: str, descriptors: str | None = None) -> str:
+def lift_command(option: Option, scene: str, descriptors: str | None = None, drop: Sequence[str] = ()) -> str:
     """Return the command that makes a release."""
     words = ["l2p", "lift", scene, "-o", "points.npz" if option.scheme == POINTS else "lines.npz"]
     words += ["--scheme", option.scheme, "--fraction", f"{option.fraction:.15g}"]
     words += ["--rgb"] if "rgb" in option.published else []
     if "descriptor" in option.published:
         words += ["--descriptors", *([descriptors] if descriptors else [])]
+    words += drop
     return shlex.join(words)

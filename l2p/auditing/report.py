@@ -11,10 +11,12 @@ from os import PathLike
 from typing import Any, NamedTuple
 
 from l2p.auditing.attackers import named, others, seen_by
-from l2p.auditing.audit import Audit, Trial
+from l2p.auditing.audit import Audit
 from l2p.auditing.charts import charts
-from l2p.auditing.decision import Goal, decide
-from l2p.auditing.tradeoff import tradeoff
+from l2p.auditing.decision import decide
+from l2p.auditing.left_out import LeftOut
+from l2p.auditing.tradeoff import ReleaseInputs, tradeoff
+from l2p.auditing.trial import Trial
 from l2p.auditing.words import sentences
 from l2p.io.atomic import atomic_folder
 from l2p.judging.accuracy import errors
@@ -34,26 +36,6 @@ _FORMS: dict[Form, Callable[[Any], str]] = {
     Form.SHARE: percent,
     Form.NUMBER: "{:.3f}".format,
 }
-
-
-@dataclass(frozen=True)
-class ReleaseInputs:
-    """What the decision of a report needs besides the audit.
-
-    Attributes
-    ----------
-    goal : Goal or None
-        What a release should reach; None: 90 % of the queries localized within a limit.
-    scene, descriptors : str
-        What ``l2p lift`` is given to make a release.
-    unlocalized : str
-        Why nothing was localized; empty if it is of no interest.
-    """
-
-    goal: Goal | None = None
-    scene: str = "MODEL"
-    descriptors: str | None = None
-    unlocalized: str = ""
 
 
 #: Cells of a row of a table; the first is its heading.
@@ -164,7 +146,7 @@ def report_page(
         used_words=named(used),
         unseen=[named([name]) for name in others(used)],
         tables=_tables(audit),
-        tradeoff=None if decision is None else tradeoff(audit, decision, release.scene, release.descriptors),
+        tradeoff=None if decision is None else tradeoff(audit, decision, release),
         unlocalized=release.unlocalized,
         charts=charts(audit),
         spacing=length(audit.spacing, audit.metric),
@@ -187,13 +169,15 @@ def _exhibit(trial: Trial, audit: Audit) -> Exhibit:
         calibrated=audit.calibrated,
         error=None if truth is None else errors(recovery, truth) / audit.spacing,
         camera_centers=audit.camera_centers,
+        spacing=audit.spacing,
     )
 
 
 def _tables(audit: Audit) -> list[Table]:
     if not audit.known:
         return [_predicted_table(audit)]
-    return [_measured_table(audit), *([_metric_table(audit)] if audit.metric else [])]
+    left_out = [] if audit.left_out is None else [_left_out_table(audit, audit.left_out)]
+    return [_measured_table(audit), *([_metric_table(audit)] if audit.metric else []), *left_out]
 
 
 def _measured_table(audit: Audit) -> Table:
@@ -217,6 +201,17 @@ def _metric_table(audit: Audit) -> Table:
     return _by_trial(
         audit, "In centimetres", heads, rows, "These lengths are right if the units of the map are metres."
     )
+
+
+def _left_out_table(audit: Audit, left_out: LeftOut) -> Table:
+    heads = [Head("Left out"), Head("Of these, within 1 spacing of", ("a recovered point", "a published point"))]
+    rows = [[count(left_out.points), percent(near.recovered), percent(near.published)] for near in left_out.near]
+    note = (
+        "What is left out leaves no line, colour or descriptor. What comes back near it belongs to neighbours that are "
+        "published: at the border, points are near what is left out by nature, which the last column counts with their "
+        "true places; recovered points may also lie there by mistake. The spacing is that of the map with all points."
+    )
+    return _by_trial(audit, "What was left out", heads, rows, note)
 
 
 def _by_trial(audit: Audit, heading: str, heads: Sequence[Head], rows: Sequence[Row], note: str) -> Table:
@@ -285,6 +280,7 @@ def _facts(audit: Audit) -> list[tuple[str, str]]:
     memory = "" if where["memory_gib"] is None else f", {where['memory_gib']:g} GiB"
     facts = [
         ("Given", f"{audit.name}: {count(audit.points)} {'points' if audit.known else 'lines'}"),
+        ("Left out on request", "" if audit.left_out is None else f"{count(audit.left_out.points)} points"),
         ("Published beside the lines", named(audit.published)),
         ("Ignored on request", named(audit.ignored)),
         ("Method", audit.method),

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 from l2p.auditing.attackers import WORDS, Attacker
 from l2p.auditing.audit import Audit
 from l2p.auditing.charts import Chart, percent_axis, styles, svg
-from l2p.auditing.decision import Decision, Option, best_of, lift_command
-from l2p.show.page.numbers import fraction, percent
+from l2p.auditing.decision import Decision, Goal, Option, best_of, lift_command
+from l2p.show.page.numbers import count, fraction, percent
 from l2p.utility import BY_TRACKS, POINTS
-from l2p.utility.localization import Localization
+from l2p.utility.localization import Limit, Localization, Localized
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,6 +28,29 @@ _LEAST = 0.0005
 _TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 #: Opacity of the dominated.
 _GREY = 0.35
+
+
+@dataclass(frozen=True)
+class ReleaseInputs:
+    """What the decision of a report needs besides the audit.
+
+    Attributes
+    ----------
+    goal : Goal or None
+        What a release should reach; None: 90 % of the queries localized within a limit.
+    scene, descriptors : str
+        What ``l2p lift`` is given to make a release.
+    drop : tuple of str
+        Flags that leave points out of it.
+    unlocalized : str
+        Why nothing was localized; empty if it is of no interest.
+    """
+
+    goal: Goal | None = None
+    scene: str = "MODEL"
+    descriptors: str | None = None
+    drop: tuple[str, ...] = ()
+    unlocalized: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,23 +84,21 @@ class Tradeoff:
     csv: str
 
 
-def tradeoff(audit: Audit, decision: Decision, scene: str, descriptors: str | None = None) -> Tradeoff:
-    """Make the section of a decision.
-
-    Parameters
-    ----------
-    scene, descriptors : str
-        What ``l2p lift`` is given to make a release.
-    """
+def tradeoff(audit: Audit, decision: Decision, release: ReleaseInputs = ReleaseInputs()) -> Tradeoff:
+    """Make the section of a decision."""
     found = audit.localization
     assert found is not None
-    rows = [_row(option, decision, found, lift_command(option, scene, descriptors)) for option in decision.options]
+
+    def command(option: Option) -> str:
+        return lift_command(option, release.scene, release.descriptors, release.drop)
+
+    rows = [_row(option, decision, found, command(option)) for option in decision.options]
     headline, *further = decision_sentences(audit, decision)
     best = decision.best
     return Tradeoff(
         headline,
         further,
-        "" if best is None else lift_command(best, scene, descriptors),
+        "" if best is None else command(best),
         [_error_chart(decision, found), _share_chart(decision)],
         [(name, list(group)) for name, group in groupby(rows, lambda row: row.name)],
         str(decision.goal.limit),
@@ -135,7 +156,27 @@ def decision_sentences(audit: Audit, decision: Decision) -> list[str]:
         f"({percent(best.of_published)} of those published), and {percent(best.localized)} of {queries} cameras are "
         f"localized {within}; half of them within {_position(best.position, found)} and {best.rotation:.2g} deg.",
     ]
-    return [*chosen, *_plain(decision, within), *_measured(found, queries)]
+    return [*chosen, *_plain(decision, within), *_measured(found, queries), *_dropping(audit, goal.limit, within)]
+
+
+def _dropping(audit: Audit, limit: Limit, within: str) -> list[str]:
+    """What leaving points out costs: cameras localized in lines at the largest fraction, before and after."""
+    found, before = audit.localization, audit.undropped
+    if found is None or before is None or audit.left_out is None:
+        return []
+    fraction = audit.fractions[0]
+    was, now = (each.of(audit.scheme, fraction) for each in (before, found))
+    shares = [percent(trial.within(limit, found.extent)) for trial in (was, now)]
+    errors = ["lost" if math.isinf(trial.position) else _position(_shown(trial, found), found) for trial in (was, now)]
+    return [
+        f"Leaving {count(audit.left_out.points)} points out changed the share of cameras localized {within} in the "
+        f"lines of the others from {shares[0]} to {shares[1]}, and their median error from {errors[0]} to {errors[1]}."
+    ]
+
+
+def _shown(trial: Localized, found: Localization) -> float:
+    """Median error of position: metres, or a share of the extent."""
+    return trial.position if found.metric else trial.position / found.extent
 
 
 def _plain(decision: Decision, within: str) -> list[str]:

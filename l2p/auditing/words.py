@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from l2p.auditing.attackers import Attacker, named
-from l2p.auditing.audit import Audit, Trial
+from l2p.auditing.audit import Audit
+from l2p.auditing.trial import Trial
 from l2p.show.page.numbers import count, fraction, length, percent
 
 #: Least gain in the share within 1 spacing, from all points to the most confident half, that is called informative.
@@ -12,7 +13,7 @@ _TELLING = 0.02
 
 def sentences(audit: Audit) -> list[str]:
     """Return all sentences, the headline first."""
-    return [each for make in (headline, alone, savings, typical, sparser) if (each := make(audit))]
+    return [each for make in (headline, left_out, alone, savings, typical, sparser) if (each := make(audit))]
 
 
 def headline(audit: Audit) -> str:
@@ -26,7 +27,10 @@ def headline(audit: Audit) -> str:
         return f"{knowing}{count(len(trial))} points were recovered, but how many of them are right is not known."
     of = "points"
     if audit.known and trial.fraction < 1:
-        of = f"published points ({fraction(trial.fraction)} of the map)"
+        whole = "the map" if audit.left_out is None else "what is left"
+        of = f"published points ({fraction(trial.fraction)} of {whole})"
+    elif audit.left_out is not None:
+        of = "published points"
     if not audit.known and half is not None:
         return (
             f"{knowing}{'about' if knowing else 'About'} {percent(within)} of the {of} are expected to be recovered "
@@ -43,6 +47,19 @@ def _knowledge(within: float, half: float) -> str:
     if half - within >= _TELLING:
         return f"the attacker has some idea which: the most confident half is right {percent(half)}"
     return f"the attacker can hardly tell which: the most confident half is right only {percent(half)}"
+
+
+def left_out(audit: Audit) -> str:
+    """How many of the points that were left out have something near, at the largest fraction; empty if none were."""
+    out = audit.left_out
+    if out is None:
+        return ""
+    near, share = out.near[0], percent(out.points / audit.points)
+    were = "point of the map was" if out.points == 1 else "points of the map were"
+    return (
+        f"{count(out.points)} {were} left out ({share}): {percent(near.recovered)} of them have a recovered point "
+        f"within 1 spacing; {percent(near.published)} have a published neighbour that near."
+    )
 
 
 def alone(audit: Audit) -> str:

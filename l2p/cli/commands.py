@@ -8,56 +8,33 @@ import tempfile
 import webbrowser
 from argparse import Namespace
 from collections.abc import Iterable
-from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from l2p.cli.drop import asks_to_drop, drop_words, dropped
 from l2p.cli.flags import settings_of
+from l2p.cli.lift import described_scene, printable
+from l2p.cli.lift import lift as lift
 from l2p.cli.localize import localize as localize
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
 from l2p.cli.recover import recover as recover
 from l2p.errors import InputError, sentence
 from l2p.io.atomic import atomic_file, check_folder
-from l2p.io.descriptors import load_described
 from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
-from l2p.io.line_files import line_ending, load_lines, save_lines
+from l2p.io.line_files import load_lines
 from l2p.io.recovery_files import load_recovery
-from l2p.io.scene_files import load_scene, load_truth, truth_bytes
-from l2p.judging.accuracy import matched, spacing
+from l2p.io.scene_files import load_truth
+from l2p.judging.accuracy import matched
 from l2p.judging.scores import evaluate as score
 from l2p.maps.lines import LineCloud
 from l2p.maps.scene import Scene
-from l2p.schemes.hide import hide
-from l2p.show.tables import descriptor_text, print_info, print_rows, print_scores, print_shares
+from l2p.show.tables import print_info, print_rows, print_scores, print_shares
 from l2p.utility import MOST_QUERIES, WRONG
 from l2p.work.progress import terminal_progress
 
 if TYPE_CHECKING:
     from l2p.auditing.audit import Audit
     from l2p.utility.queries import Queries
-
-
-def lift(arguments: Namespace) -> None:
-    """Run ``l2p lift``."""
-    inputs = [path for path in (arguments.scene, arguments.descriptors or None) if path is not None]
-    check_outputs(inputs, [arguments.output, arguments.truth], arguments.force)
-    described = arguments.descriptors is not None
-    asked = {"rgb": arguments.rgb, "descriptor": described}
-    line_ending(arguments.output, [name for name, wanted in asked.items() if wanted])
-    scene, source = _described_scene(arguments.scene, arguments.descriptors)
-    if arguments.rgb and scene.rgb is None:
-        raise InputError(f"{arguments.scene} has no colours; leave out --rgb")
-    hidden = hide(scene, arguments.seed, arguments.fraction, arguments.scheme, arguments.rgb, described)
-    with ExitStack() as stack:
-        if arguments.truth is not None:
-            # Renamed after the lines are written, so that a failure leaves neither file.
-            truth = stack.enter_context(atomic_file(arguments.truth, overwrite=arguments.force))
-            truth.write(truth_bytes(replace(hidden.truth, spacing=spacing(scene.xyz))))
-        save_lines(hidden.map, arguments.output, overwrite=arguments.force)
-    print(f"{arguments.output}: {len(hidden.map)} lines of {len(scene)} points")
-    if source is not None:
-        print(f"descriptors of {_shown(str(source))}: {descriptor_text(hidden.map.appearance)}")
 
 
 def evaluate(arguments: Namespace) -> None:
@@ -89,7 +66,9 @@ def audit(arguments: Namespace) -> None:
     lines_given = kind_of(arguments.scene) in LINE_CLOUDS
     if lines_given and arguments.descriptors is not None:
         raise InputError("got --descriptors for a line cloud; expected none, since its file has all that is published")
-    scene = load_lines(arguments.scene) if lines_given else _described_scene(arguments.scene, arguments.descriptors)[0]
+    if lines_given and asks_to_drop(arguments):
+        raise InputError("got --drop-... for a line cloud, whose points are unknown; expected it of l2p lift")
+    scene = load_lines(arguments.scene) if lines_given else described_scene(arguments.scene, arguments.descriptors)[0]
     goal = parsed_goal(arguments.localize, arguments.recovered)
     queries, why = _queries(arguments, scene, needed=goal is not None)
     if goal is not None:
@@ -101,17 +80,20 @@ def audit(arguments: Namespace) -> None:
         arguments.seed,
         method=arguments.method,
         ignore=arguments.ignore,
+        drop=None if isinstance(scene, LineCloud) else dropped(arguments, scene)[0],
         metric=arguments.metric,
         device=arguments.device,
         memory=arguments.memory,
         queries=queries,
         localizing=LocalizeConfig(wrong=(arguments.wrong,), most_queries=arguments.queries or None),
         progress=terminal_progress(),
-        name=_shown(arguments.scene),
+        name=printable(arguments.scene),
         **settings_of(arguments),
     )
     command = _audit_command(arguments, lines_given)
-    release = ReleaseInputs(goal, _shown(arguments.scene), arguments.descriptors or None, why)
+    release = ReleaseInputs(
+        goal, printable(arguments.scene), arguments.descriptors or None, tuple(drop_words(arguments)), why
+    )
     with figures_file(arguments, figures_of(found, command, release)):
         save_report(
             found,
@@ -157,14 +139,6 @@ def _queries(arguments: Namespace, scene: Scene | LineCloud, needed: bool) -> tu
         return None, sentence(error)
 
 
-def _described_scene(path: str, descriptors: str | None) -> tuple[Scene, Path | None]:
-    """Read a scene and, unless ``descriptors`` is None, the descriptors of that file; empty: of the one beside it.
-
-    Return it with the file that the descriptors are from.
-    """
-    return (load_scene(path), None) if descriptors is None else load_described(path, descriptors or None)
-
-
 def _print_figures(audit: Audit) -> None:
     """Print the figures of the attacker who uses most; with several, also the share that each recovers."""
     from l2p.auditing.attackers import seen_by
@@ -189,7 +163,7 @@ def view(arguments: Namespace) -> None:
     if arguments.window:
         check_window()
     check_outputs([arguments.file], [arguments.output], arguments.force)
-    exhibit, name = Exhibit.load(arguments.file), _shown(arguments.file)
+    exhibit, name = Exhibit.load(arguments.file), printable(arguments.file)
     if arguments.window:
         show(exhibit, name)
         return
@@ -231,6 +205,7 @@ def demo(arguments: Namespace) -> None:
 def _check_report(arguments: Namespace, files: Iterable[str]) -> None:
     """Refuse wrong arguments of an audit before the scene is read."""
     given = (arguments.scene, arguments.checkpoint, arguments.descriptors or None)
+    given += (arguments.drop_ids, arguments.drop_masks)
     inputs = [path for path in given if path is not None]
     check_outputs(inputs, [file_of(arguments.json)], arguments.force)
     check_folder(arguments.output, overwrite=arguments.force, replaceable=frozenset(files))
@@ -251,6 +226,7 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
     if arguments.descriptors is not None:
         words += ["--descriptors", *([arguments.descriptors] if arguments.descriptors else [])]
     words += ["--ignore", ",".join(arguments.ignore)] if arguments.ignore else []
+    words += drop_words(arguments)
     words += [] if lines_given else ["--seed", str(arguments.seed)]
     words += ["--method", arguments.method]
     flags = {**settings_of(arguments), **{name: getattr(arguments, name) for name in ("device", "threads", "memory")}}
@@ -261,9 +237,4 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
     words += [] if arguments.wrong == WRONG else ["--wrong", f"{arguments.wrong:.15g}"]
     for name in ("localize", "recovered"):
         words += [f"--{name}", getattr(arguments, name)] if getattr(arguments, name) is not None else []
-    return _shown(shlex.join(words))
-
-
-def _shown(path: str) -> str:
-    """Return a path as printable text, even if its bytes are not valid text."""
-    return os.fsencode(path).decode("utf-8", errors="replace")
+    return printable(shlex.join(words))

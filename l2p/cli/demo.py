@@ -10,7 +10,7 @@ from l2p.attacks.run import recover
 from l2p.io.atomic import atomic_folder
 from l2p.io.line_files import save_lines
 from l2p.io.recovery_files import save_recovery
-from l2p.io.scene_files import load_scene, save_scene_ply, save_truth
+from l2p.io.scene_files import load_scene, save_scene, save_truth
 from l2p.judging.accuracy import errors, spacing
 from l2p.judging.scores import Scores, evaluate
 from l2p.schemes.hide import hide
@@ -59,7 +59,7 @@ def run(
         simulate_model("room", points, seed).save_colmap(place / MODEL)
         # Read back from its files, like a user's map.
         scene = load_scene(place / MODEL)
-        save_scene_ply(scene, place / MAP)
+        save_scene(scene, place / MAP)
         hidden = hide(scene, seed=seed)
         save_lines(hidden.map, place / LINES)
         recovery = recover(hidden.map, progress=progress)

@@ -25,6 +25,31 @@ def add_method(command: argparse.ArgumentParser, leave_out: tuple[str, ...] = ()
             _add_setting(command, name)
 
 
+def add_drop(command: argparse.ArgumentParser) -> None:
+    """Add the flags of points to leave out (:mod:`l2p.cli.drop`)."""
+    command.add_argument(
+        "--drop-box",
+        type=float,
+        nargs=6,
+        action="append",
+        default=[],
+        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+        help="leave out the points in the box between two corners, scene units; may be given more than once, and inf "
+        "has no end",
+    )
+    command.add_argument(
+        "--drop-ids",
+        metavar="FILE",
+        help="leave out the points of these ids (COLMAP's point3D_id): text, npy, or npz with point3D_id",
+    )
+    command.add_argument(
+        "--drop-masks",
+        metavar="FOLDER",
+        help="leave out each point that an image of the COLMAP model sees in a black pixel of its mask, "
+        "FOLDER/IMAGE_NAME.png",
+    )
+
+
 def settings_of(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the settings given on the command line."""
     values = {name: getattr(arguments, name, None) for name in setting_names()}

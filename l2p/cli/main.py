@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from l2p.auditing import FRACTIONS
-from l2p.cli.flags import add_method
+from l2p.cli.flags import add_drop, add_method
+from l2p.cli.localize_flags import add_decision, add_localization
 from l2p.errors import InputError, LostProcessError, sentence
 from l2p.judging import CLEANING
 from l2p.maps import ATTRIBUTES
 from l2p.schemes.scheme import DEFAULT_SCHEME, SCHEMES
 from l2p.show.page import MOST_POINTS
-from l2p.utility import BY_TRACKS, MATCHING, MOST_QUERIES, POINTS, WRONG
-from l2p.utility import FRACTIONS as LOCALIZED_FRACTIONS
+from l2p.utility import POINTS
 from l2p.version import __version__
 from l2p.work.memory import SHARE
 
@@ -59,7 +60,12 @@ def _left(arguments: argparse.Namespace) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that reports an error in one line, without the usage."""
+    """Parser that reports an error in one line, without the usage, and takes -1e-3 and -inf for numbers."""
+
+    def __init__(self, *words: Any, **names: Any) -> None:
+        super().__init__(*words, **names)
+        # argparse's own, until Python 3.14, takes what has an exponent for an option.
+        self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$|-inf$", re.IGNORECASE)
 
     def error(self, message: str) -> NoReturn:
         _complain(f"{message} (see {self.prog} --help)")
@@ -102,7 +108,11 @@ def _add_lift(commands: Any) -> None:
         help="fraction of the points, in (0, 1] (default: %(default)s)",
     )
     lift.add_argument(
-        "--scheme", choices=SCHEMES, default=DEFAULT_SCHEME, help="how points are hidden (default: %(default)s)"
+        "--scheme",
+        choices=(*SCHEMES, POINTS),
+        default=DEFAULT_SCHEME,
+        help=f"how points are hidden; {POINTS}: not at all, the chosen fraction of them is written as it is, to npz or "
+        "PLY (default: %(default)s)",
     )
     lift.add_argument(
         "--seed",
@@ -121,6 +131,7 @@ def _add_lift(commands: Any) -> None:
         help="store the descriptors of the points, which help an attacker more: those of FILE (COLMAP's database.db, "
         "hloc's features, or npz), or, without FILE, those of an npz scene or found beside a COLMAP model",
     )
+    add_drop(lift)
     _add_force(lift)
 
 
@@ -194,56 +205,7 @@ def _add_evaluate(commands: Any) -> None:
 
 def _add_localize(commands: Any) -> None:
     localize = _command(commands, "localize", "tell how well the images of a model are localized in what is published")
-    localize.add_argument("scene", metavar="MODEL", help="COLMAP model folder with images and observations")
-    localize.add_argument(
-        "--scheme",
-        dest="schemes",
-        nargs="+",
-        choices=(POINTS, *SCHEMES),
-        default=(POINTS, DEFAULT_SCHEME),
-        help="ways to publish: points as they are, or hidden by a scheme (default: points and "
-        f"{DEFAULT_SCHEME}); the points are the same for all",
-    )
-    localize.add_argument(
-        "--fractions",
-        type=float,
-        nargs="+",
-        default=LOCALIZED_FRACTIONS,
-        metavar="F",
-        help="fractions of the points to publish, in (0, 1] "
-        f"(default: {' '.join(f'{share:g}' for share in LOCALIZED_FRACTIONS)})",
-    )
-    localize.add_argument(
-        "--matches",
-        choices=MATCHING,
-        default=BY_TRACKS,
-        help="by the tracks of the model, with a share of wrong ones, or by descriptors (default: %(default)s)",
-    )
-    localize.add_argument(
-        "--wrong",
-        type=float,
-        nargs="+",
-        default=(WRONG,),
-        metavar="W",
-        help=f"shares of wrong matches among those by tracks, in [0, 1) (default: {WRONG:g})",
-    )
-    localize.add_argument(
-        "--features",
-        metavar="FILE",
-        help="features of the images, for matches by descriptors: COLMAP's database.db or hloc's (default: those found "
-        "beside the model)",
-    )
-    localize.add_argument(
-        "--gravity",
-        type=float,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="direction of gravity in the map, if the cameras know it: fewer matches then make a pose",
-    )
-    localize.add_argument("--queries", type=int, metavar="N", help="most images to localize (default: all)")
-    localize.add_argument(
-        "--metric", action="store_true", help="the map is in metres: count within 0.25 m and 2 deg ..."
-    )
+    add_localization(localize)
     localize.add_argument(
         "--seed", type=_seed, default=0, metavar="S", help="seed of the releases and samples (default: %(default)s)"
     )
@@ -281,8 +243,9 @@ def _add_audit(commands: Any) -> None:
         "an npz scene has its own",
     )
     _add_ignore(audit, "of the map")
+    add_drop(audit)
     audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
-    _add_decision(audit)
+    add_decision(audit)
     audit.add_argument(
         "--max-view-points",
         type=int,
@@ -296,34 +259,6 @@ def _add_audit(commands: Any) -> None:
     _add_memory(audit)
     _add_json(audit, "FILE", "the figures of audit.json")
     _add_force(audit)
-
-
-def _add_decision(audit: argparse.ArgumentParser) -> None:
-    audit.add_argument(
-        "--queries",
-        type=int,
-        default=MOST_QUERIES,
-        metavar="N",
-        help="most images of a COLMAP model to localize in each release; 0 leaves it out (default: %(default)s)",
-    )
-    audit.add_argument(
-        "--wrong",
-        type=float,
-        default=WRONG,
-        metavar="W",
-        help="share of wrong matches in that, in [0, 1) (default: %(default)s)",
-    )
-    audit.add_argument(
-        "--localize",
-        metavar="LIMIT=SHARE",
-        help="name the release that gives away least of those that localize this share of the images, such as "
-        "0.25m,2deg=90%% (with --metric) or 0.5%%=90%%, of the extent of the cameras",
-    )
-    audit.add_argument(
-        "--recovered",
-        metavar="SHARE",
-        help="name the release that localizes best of those of which at most this share of the map comes back",
-    )
 
 
 def _add_view(commands: Any) -> None:

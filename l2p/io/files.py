@@ -11,7 +11,7 @@ from l2p.io.descriptors import load_described
 from l2p.io.kinds import LINE_CLOUDS, SCENES, Kind, kind_of
 from l2p.io.line_files import load_lines, save_lines
 from l2p.io.recovery_files import load_recovery, save_recovery
-from l2p.io.scene_files import load_scene, load_truth, save_scene_ply, save_truth
+from l2p.io.scene_files import load_scene, load_truth, save_scene, save_truth
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
@@ -86,7 +86,7 @@ def load(
 
 
 def save(thing: Scene | LineCloud | Recovery | Truth, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a line cloud (npz, PLY, OBJ), a recovery (npz, PLY), a truth (npz) or a scene (PLY), whole or not at all.
+    """Write a line cloud (npz, PLY, OBJ), a recovery (npz, PLY), a truth (npz) or a scene (npz, PLY), whole or not.
 
     Raises
     ------
@@ -103,6 +103,6 @@ def save(thing: Scene | LineCloud | Recovery | Truth, path: str | PathLike[str],
     elif isinstance(thing, Truth):
         save_truth(thing, path, overwrite=overwrite)
     elif isinstance(thing, Scene):
-        save_scene_ply(thing, path, overwrite=overwrite)
+        save_scene(thing, path, overwrite=overwrite)
     else:
         raise TypeError(f"got a {type(thing).__name__}; expected a LineCloud, Recovery, Truth or Scene")

@@ -1,9 +1,10 @@
-"""npz files, named arrays in one file: the same bytes for the same arrays, and nothing is ever unpickled."""
+"""npz and npy files, arrays in one file: the same bytes for the same arrays, and nothing is ever unpickled."""
 
 from __future__ import annotations
 
 import io
 import math
+import os
 import warnings
 import zipfile
 from collections.abc import Iterable
@@ -61,27 +62,46 @@ def read_npz(path: str | PathLike[str], names: Iterable[str]) -> dict[str, np.nd
             raise _damaged(path) from error
 
 
+def read_npy(path: str | PathLike[str]) -> np.ndarray:
+    """Read the array of an npy file; InputError if it is damaged or holds Python objects, which are never unpickled."""
+    with open(path, "rb") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about headers written by Python 2
+        try:
+            if _claimed(path, file) != os.path.getsize(path):
+                raise _damaged(path, "npy")
+            file.seek(0)
+            return np.lib.format.read_array(file, allow_pickle=False)
+        except InputError:
+            raise
+        except Exception as error:  # numpy raises many types on damaged bytes
+            raise _damaged(path, "npy") from error
+
+
 def _read_array(path: str | PathLike[str], archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     """Read one array; a header that claims more than the file can hold is refused before memory is allocated."""
     largest = {zipfile.ZIP_STORED: info.compress_size, zipfile.ZIP_DEFLATED: _MOST_INFLATED * info.compress_size}
     with archive.open(info) as member:
-        version = np.lib.format.read_magic(member)
-        read_header = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }[version]
-        shape, _, dtype = read_header(member)
-        if dtype.hasobject:
-            raise InputError(f"{path} holds Python objects, which l2p never loads; expected plain arrays")
-        complete = member.tell() + math.prod(shape) * dtype.itemsize == info.file_size
+        complete = _claimed(path, member) == info.file_size
     if not complete or info.file_size > largest[info.compress_type]:
         raise _damaged(path)
     with archive.open(info) as member:
         return np.lib.format.read_array(member, allow_pickle=False)
 
 
-def _damaged(path: str | PathLike[str]) -> InputError:
-    return InputError(f"{path} is truncated or damaged; expected a complete npz file")
+def _claimed(path: str | PathLike[str], file: Any) -> int:
+    """Read the header of an array, and return the bytes that array and header need."""
+    read_header: Any = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }[np.lib.format.read_magic(file)]
+    shape, _, dtype = read_header(file)
+    if dtype.hasobject:
+        raise InputError(f"{path} holds Python objects, which l2p never loads; expected plain arrays")
+    return file.tell() + math.prod(shape) * dtype.itemsize
+
+
+def _damaged(path: str | PathLike[str], kind: str = "npz") -> InputError:
+    return InputError(f"{path} is truncated or damaged; expected a complete {kind} file")
 
 
 class Fields:

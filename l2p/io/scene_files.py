@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
@@ -48,10 +50,39 @@ def checked_scene(path: str | PathLike[str], scene: Scene) -> Scene:
     return scene
 
 
-def save_scene_ply(scene: Scene, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write the points, and their colours if known, as a binary PLY."""
+def save_scene(scene: Scene, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write the points and their colours, and to an npz their descriptors; a PLY holds none, and they are left out.
+
+    Raises
+    ------
+    InputError
+        If ``path`` ends neither with .npz nor with .ply, or must not be written.
+    """
+    if scene_ending(path) == ".ply":
+        content = ply_bytes({"vertex": point_records(scene.xyz, scene.rgb)})
+    else:
+        kind = None if scene.descriptor_kind is None else np.array(scene.descriptor_kind)
+        content = npz_bytes(
+            {"xyz": scene.xyz, "rgb": scene.rgb, "descriptor": scene.descriptor, "descriptor_kind": kind}
+        )
     with atomic_file(path, overwrite=overwrite) as file:
-        file.write(ply_bytes({"vertex": point_records(scene.xyz, scene.rgb)}))
+        file.write(content)
+
+
+def scene_ending(path: str | PathLike[str], attributes: Collection[str] = ()) -> str:
+    """Return the ending of a scene to write.
+
+    Raises
+    ------
+    InputError
+        If l2p does not write such files, or they cannot hold one of the published ``attributes``.
+    """
+    ending = Path(path).suffix.lower()
+    if ending not in (".npz", ".ply"):
+        raise InputError(f"{path} ends with {ending!r}; expected points to end with .npz or .ply")
+    if ending == ".ply" and "descriptor" in attributes:
+        raise InputError(f"{path} cannot hold descriptors; write .npz, or leave them out")
+    return ending
 
 
 def load_truth(path: str | PathLike[str]) -> Truth:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from l2p.maps.appearance import Appearance
 
@@ -58,6 +58,12 @@ class Scene:
     def appearance(self) -> Appearance:
         """Colours and descriptors."""
         return Appearance(self.rgb, self.descriptor, self.descriptor_kind)
+
+    def rows(self, some: Bool[np.ndarray, " points"] | Int[np.ndarray, " some"]) -> Scene:
+        """Select points by a mask or row numbers, with all that belongs to them; camera centres stay."""
+        names = ("xyz", "rgb", "error", "track_length", "ids", "descriptor")
+        own = {name: value[some] for name in names if (value := getattr(self, name)) is not None}
+        return replace(self, **own)
 
     def __len__(self) -> int:
         return len(self.xyz)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from l2p.checks import check_fraction, finite_rows
 from l2p.errors import InputError
 from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
+from l2p.maps.region import kept_rows
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Hiding
 from l2p.schemes.scheme import DEFAULT_SCHEME, scheme_of
@@ -26,6 +27,7 @@ def hide(
     rgb: UInt8[np.ndarray, "points 3"] | bool | None = None,
     descriptor: np.ndarray | bool | None = None,
     descriptor_kind: str | None = None,
+    drop: Bool[np.ndarray, " points"] | None = None,
 ) -> Hiding:
     """Hide points in a line cloud, and return it with the truth.
 
@@ -49,6 +51,9 @@ def hide(
         help an attacker more than colours do.
     descriptor_kind : str, optional
         What computed given descriptors (:class:`l2p.maps.appearance.Appearance`).
+    drop : (points,) bool, optional
+        True for each point to leave out, before the fraction is drawn: the lines are those of a scene that never had
+        it. Masks of boxes: ``Box((x0, y0, z0), (x1, y1, z1)).contains(xyz)`` (:mod:`l2p.maps.region`).
 
     Returns
     -------
@@ -59,8 +64,8 @@ def hide(
     Raises
     ------
     InputError
-        If there are no points, a point is not finite, the fraction is outside (0, 1], the scheme is unknown, or
-        colours or descriptors are not those of the points.
+        If there are no points, a point is not finite, the fraction is outside (0, 1], the scheme is unknown, colours or
+        descriptors are not those of the points, or none or all of the points are dropped.
 
     Notes
     -----
@@ -92,11 +97,16 @@ def hide(
         raise InputError("got a scene without points; expected at least one point to lift")
     check_fraction(fraction)
     way, appearance = scheme_of(scheme), _published(scene, rgb, descriptor, descriptor_kind)
+    kept = np.arange(len(xyz)) if drop is None else kept_rows(drop, len(xyz))
+    if drop is not None:
+        # Before anything is computed, also the lattice of rounded coordinates.
+        xyz, appearance = xyz[kept], appearance.rows(kept)
     # A separate stream: default_rng(seed) may have drawn the points, and would draw the same numbers as directions.
     rng = np.random.default_rng(None if seed is None else [seed, _STREAM])
     hidden = way.hide(xyz, _subset(len(xyz), fraction, rng), rng, appearance)
-    ids = None if scene.ids is None else scene.ids[hidden.truth.index]
-    return replace(hidden, truth=replace(hidden.truth, ids=ids, seed=seed))
+    index = kept[hidden.truth.index]
+    ids = None if scene.ids is None else scene.ids[index]
+    return replace(hidden, truth=replace(hidden.truth, index=index, ids=ids, seed=seed))
 
 
 def lift(
@@ -107,6 +117,7 @@ def lift(
     rgb: UInt8[np.ndarray, "points 3"] | bool | None = None,
     descriptor: np.ndarray | bool | None = None,
     descriptor_kind: str | None = None,
+    drop: Bool[np.ndarray, " points"] | None = None,
 ) -> LineCloud:
     """Return the line cloud of :func:`hide`, without the truth.
 
@@ -114,7 +125,7 @@ def lift(
     >>> len(lift(np.zeros((4, 3)), seed=0))
     4
     """
-    return hide(points, seed, fraction, scheme, rgb, descriptor, descriptor_kind).map
+    return hide(points, seed, fraction, scheme, rgb, descriptor, descriptor_kind, drop).map
 
 
 def _subset(count: int, fraction: float, rng: np.random.Generator) -> Int[np.ndarray, " chosen"]:

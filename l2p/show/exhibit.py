@@ -36,6 +36,8 @@ class Exhibit:
         Errors of the recovered points, in spacings.
     camera_centers : (cameras, 3) float64 or None
         Camera centres, scene units.
+    spacing : float or None
+        Spacing of the map, scene units.
     """
 
     points: Float[np.ndarray, "rows 3"] | None = None
@@ -46,6 +48,7 @@ class Exhibit:
     calibrated: bool = False
     error: Float[np.ndarray, " rows"] | None = None
     camera_centers: Float[np.ndarray, "cameras 3"] | None = None
+    spacing: float | None = None
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Exhibit:

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import l2p
-from l2p.auditing import report
-from l2p.auditing.audit import FRACTIONS
+from l2p.auditing import FRACTIONS, report
 from l2p.auditing.words import headline, sparser, typical
 from l2p.judging.accuracy import spacing
 from l2p.judging.calibration import BINS

@@ -19,7 +19,7 @@ import pytest
 from toy import SEES, telling_scene
 
 import l2p
-from l2p.auditing.audit import FRACTIONS
+from l2p.auditing import FRACTIONS
 from l2p.cli.main import main
 from l2p.judging import clean
 from l2p.show import window

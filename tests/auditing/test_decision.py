@@ -20,7 +20,7 @@ from toy import SEES
 import l2p
 from l2p.auditing.audit import Audit
 from l2p.auditing.decision import Goal, Option, best_of, decide, parsed_goal
-from l2p.auditing.tradeoff import decision_sentences, option_table, tradeoff
+from l2p.auditing.tradeoff import ReleaseInputs, decision_sentences, option_table, tradeoff
 from l2p.cli.main import main
 from l2p.errors import InputError
 from l2p.simulator import simulate_model
@@ -159,7 +159,7 @@ def test_metres_need_a_metric_map(audit):
 def test_the_table_file_and_the_json_have_the_same_figures(audit):
     decision = decide(audit)
     assert decision is not None
-    rows = list(csv.DictReader(io.StringIO(base64.b64decode(tradeoff(audit, decision, "MODEL").csv).decode())))
+    rows = list(csv.DictReader(io.StringIO(base64.b64decode(tradeoff(audit, decision).csv).decode())))
     plain = decision.as_dict()["releases"]
     assert len(rows) == len(plain) == len(option_table(audit, decision)[1])
     for row, one in zip(rows, plain, strict=True):
@@ -173,7 +173,7 @@ def test_marks_of_the_charts_say_their_figures(audit):
     decision = decide(audit)
     assert decision is not None
     seen = [each for each in decision.options if math.isfinite(each.position)]
-    for chart in tradeoff(audit, decision, "MODEL").charts:
+    for chart in tradeoff(audit, decision).charts:
         assert chart.svg.count("<title>") >= len(seen)
 
 
@@ -194,7 +194,7 @@ def test_the_command_tells_and_writes_the_decision(model, tmp_path, capsys):
 def test_the_command_of_every_release_makes_it(model, audit, tmp_path, capsys):
     decision = decide(audit)
     assert decision is not None
-    for row in [row for _, rows in tradeoff(audit, decision, str(model)).groups for row in rows]:
+    for row in [row for _, rows in tradeoff(audit, decision, ReleaseInputs(scene=str(model))).groups for row in rows]:
         program, *words = shlex.split(row.command)
         output = tmp_path / f"{len(list(tmp_path.iterdir()))}.npz"
         words[words.index("-o") + 1] = str(output)

@@ -17,15 +17,16 @@ from hypothesis import strategies as st
 from l2p.errors import InputError
 from l2p.io.colmap import scene_of_model
 from l2p.io.descriptors import with_descriptors
+from l2p.io.id_files import load_ids
 from l2p.io.line_files import load_lines, save_lines
 from l2p.io.recovery_files import load_recovery, save_recovery
-from l2p.io.scene_files import load_scene, load_truth, save_scene_ply, save_truth
+from l2p.io.scene_files import load_scene, load_truth, save_scene, save_truth
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
 from l2p.schemes.hide import lift
 
-READERS: tuple[Callable[[Path], Any], ...] = (load_lines, load_scene, load_truth, load_recovery)
+READERS: tuple[Callable[[Path], Any], ...] = (load_lines, load_scene, load_truth, load_recovery, load_ids)
 POINTS = np.random.default_rng(0).normal(size=(5, 3))
 
 
@@ -36,10 +37,13 @@ def _seeds() -> dict[str, bytes]:
         root = Path(folder)
         for ending in ("npz", "ply", "obj"):
             save_lines(lines, root / f"lines.{ending}")
-        save_scene_ply(Scene(POINTS), root / "scene.ply")
+        save_scene(Scene(POINTS), root / "scene.ply")
         save_truth(Truth(POINTS, np.arange(5), 1.0), root / "truth.npz")
         save_recovery(Recovery(POINTS, np.ones(5, dtype=np.float32), np.zeros(5)), root / "recovery.npz")
         (root / "lines.txt").write_text("# x y z dx dy dz\n1 2 3 0 0 1\n4;5;6;1;0;0\n")
+        (root / "ids.txt").write_text("# points\n17, 3 42\n")
+        np.save(root / "ids.npy", np.arange(5))
+        np.savez(root / "ids.npz", point3D_id=np.arange(5))
         (root / "ascii.ply").write_text(
             "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
             "element edge 1\nproperty list uchar int other\nproperty int vertex1\nproperty int vertex2\nend_header\n"
@@ -85,7 +89,10 @@ def test_random_bytes(content):
     _read(content)
 
 
-@given(st.sampled_from([b"PK\x03\x04", b"PK\x05\x06", b"ply\n", b"ply\nformat ascii 1.0\n"]), st.binary(max_size=200))
+@given(
+    st.sampled_from([b"PK\x03\x04", b"PK\x05\x06", b"\x93NUMPY\x01\x00", b"ply\n", b"ply\nformat ascii 1.0\n"]),
+    st.binary(max_size=200),
+)
 @settings(deadline=None, max_examples=100)
 def test_random_bytes_after_a_true_beginning(beginning, content):
     _read(beginning + content)

@@ -10,7 +10,7 @@ import pytest
 import l2p
 from l2p.errors import InputError
 from l2p.io.line_files import save_lines
-from l2p.io.scene_files import load_scene, load_truth, save_scene_ply, save_truth
+from l2p.io.scene_files import load_scene, load_truth, save_scene, save_truth
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
 from l2p.schemes.hide import lift
@@ -44,7 +44,7 @@ def test_a_colmap_model_gives_all_that_pycolmap_knows(tmp_path, write_model, tex
 
 def test_ply_round_trip(tmp_path):
     scene = scene_of()
-    save_scene_ply(scene, tmp_path / "scene.ply")
+    save_scene(scene, tmp_path / "scene.ply")
     again = l2p.load(tmp_path / "scene.ply", Scene)
     np.testing.assert_array_equal(again.xyz, scene.xyz)
     np.testing.assert_array_equal(again.rgb, scene.rgb)

@@ -52,7 +52,7 @@ from line_coverage import Steps
 
 from l2p.attacks.learned import checkpoint
 from l2p.errors import InputError
-from l2p.io import colmap, kinds, line_files, npz, ply, recovery_files, scene_files, text_lines
+from l2p.io import colmap, id_files, kinds, line_files, npz, ply, recovery_files, scene_files, text_lines
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
@@ -65,13 +65,15 @@ READERS: tuple[Callable[[Path], Any], ...] = (
     scene_files.load_scene,
     scene_files.load_truth,
     recovery_files.load_recovery,
+    id_files.load_ids,
     checkpoint.read,
     exhibit.Exhibit.load,
     tables.print_info,
 )
 #: The code that a file leads through.
 TRACED: tuple[ModuleType, ...] = (
-    *(checkpoint, exhibit, tables, colmap, kinds, line_files, npz, ply, recovery_files, scene_files, text_lines),
+    *(checkpoint, exhibit, tables, colmap, id_files, kinds, line_files, npz, ply),
+    *(recovery_files, scene_files, text_lines),
     *(zipfile, importlib.import_module("plyfile"), np.lib.format),
 )
 #: Limits for one file: processor seconds, and bytes beyond a multiple of its size.
@@ -108,7 +110,7 @@ def valid_files() -> list[Valid]:
     """One of every format, with everything in it that it can hold."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        for write in (_write_lines, _write_points, _write_checkpoint, _write_models):
+        for write in (_write_lines, _write_points, _write_ids, _write_checkpoint, _write_models):
             write(root)
         return [
             Valid(path.name, {file.name: file.read_bytes() for file in (sorted(path.iterdir()) or [])})
@@ -121,6 +123,12 @@ def valid_files() -> list[Valid]:
 def _points() -> tuple[np.random.Generator, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
     return rng, rng.normal(size=(ROWS, 3)), rng.integers(0, 256, (ROWS, 3), dtype=np.uint8)
+
+
+def _write_ids(root: Path) -> None:
+    (root / "ids.txt").write_text("# points\n17, 3 42\n")
+    np.save(root / "ids.npy", np.arange(ROWS))
+    np.savez(root / "ids.npz", point3D_id=np.arange(ROWS))
 
 
 def _write_lines(root: Path) -> None:
@@ -139,7 +147,7 @@ def _write_lines(root: Path) -> None:
 
 def _write_points(root: Path) -> None:
     rng, points, rgb = _points()
-    scene_files.save_scene_ply(Scene(points, rgb), root / "scene.ply")
+    scene_files.save_scene(Scene(points, rgb), root / "scene.ply")
     np.savez_compressed(
         root / "scene.npz",
         xyz=points,

@@ -14,7 +14,7 @@ from l2p.show.page.numbers import count
 from l2p.show.page.view import MOST_LINES, view_data
 from l2p.version import __version__
 
-_SCRIPTS = ("theme.js", "viewer.js", "copy.js")
+_SCRIPTS = ("theme.js", "region.js", "viewer.js", "copy.js")
 
 
 def render(
@@ -30,14 +30,14 @@ def render(
     With several ``attackers``, each label has so many exhibits one after another, one per attacker; ``words`` are
     variables of the template.
     """
-    environment = _environment()
+    environment, view = _environment(), view_data(exhibits, most_points)
     script = "".join(_source(name) for name in _SCRIPTS)
     page = environment.get_template(template).render(
         title=title,
         version=__version__,
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        view=view_data(exhibits, most_points),
+        view=view,
         clouds=[label for label, _ in exhibits[:: len(attackers)]],
         attackers=attackers,
         thinned=_thinned(exhibits, most_points),

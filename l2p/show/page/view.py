@@ -13,6 +13,7 @@ from l2p.maps.lines import LineCloud
 from l2p.show.colors import ERROR_LIMIT
 from l2p.show.exhibit import Exhibit
 from l2p.show.page import MOST_POINTS
+from l2p.show.page.sides import sides_of
 from l2p.show.stance import Stance
 
 #: Most lines that a view draws; more fill the picture evenly and show no structure.
@@ -33,7 +34,14 @@ def view_data(exhibits: Sequence[tuple[str, Exhibit]], most_points: int = MOST_P
     """
     stance = Stance.before(exhibits[0][1])
     clouds = [_cloud(label, exhibit, stance, most_points) for label, exhibit in exhibits]
-    return {"levels": LEVELS, "errorLimit": ERROR_LIMIT, "clouds": _stored_once(clouds)}
+    return {
+        "levels": LEVELS,
+        "errorLimit": ERROR_LIMIT,
+        "stance": {"center": stance.center.tolist(), "radius": stance.radius, "axes": stance.axes.tolist()},
+        "spacing": exhibits[0][1].spacing,
+        "sides": sides_of(exhibits[0][1], stance),
+        "clouds": _stored_once(clouds),
+    }
 
 
 def _stored_once(clouds: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -24,6 +24,7 @@ for (const cloud of data.clouds) clouds.push({
   level: cloud.level && bytes(cloud.level),
   error: cloud.error && bytes(cloud.error),
 });
+const region = regionOf(data);
 const attackers = document.querySelectorAll('input[name="attacker"]').length;
 
 // ---- state ----
@@ -126,34 +127,61 @@ function drawPoints({ cloud, layer, floor, size }) {
   }
 }
 
+// The line between two places (at o and o + 3 of a list) in pixels: its start, its change over all steps, the first and
+// the last step that are in the picture, and the depths of its ends. Null if it is behind the camera.
+function pixelsOf(places, o, { rows, shift, focal }) {
+  let [p, q] = [o, o + 3].map((at) => rows.map((row, k) =>
+    row[0] * places[at] + row[1] * places[at + 1] + row[2] * places[at + 2] + shift[k]));
+  if (p[2] < q[2]) [p, q] = [q, p];
+  if (p[2] <= NEAR) return null;
+  if (q[2] < NEAR) q = mixed(p, q, (p[2] - NEAR) / (p[2] - q[2]));
+  const x = width / 2 + focal * p[0] / p[2], y = height / 2 - focal * p[1] / p[2];
+  const dx = width / 2 + focal * q[0] / q[2] - x, dy = height / 2 - focal * q[1] / q[2] - y;
+  const steps = Math.ceil(Math.max(Math.abs(dx), Math.abs(dy), 1));
+  let from = 0, to = 1;
+  for (const [start, change, limit] of [[x, dx, width], [y, dy, height]]) {
+    if (!change) { if (start < 0 || start >= limit) to = -1; continue; }
+    const ends = [-start / change, (limit - 1 - start) / change];
+    from = Math.max(from, Math.min(...ends));
+    to = Math.min(to, Math.max(...ends));
+  }
+  return { x, y, dx, dy, steps, first: Math.ceil(from * steps), last: to * steps, start: p[2], end: q[2] };
+}
+
 // Lines are counted in each pixel, and the more there are the stronger its colour.
 function drawLines({ cloud: { lines } }) {
-  const { rows, shift, focal } = basis();
+  const view = basis();
   counts.fill(0);
   for (let o = 0; o < lines.length; o += 6) {
-    let [p, q] = [o, o + 3].map((at) => rows.map((row, k) =>
-      row[0] * lines[at] + row[1] * lines[at + 1] + row[2] * lines[at + 2] + shift[k]));
-    if (p[2] < q[2]) [p, q] = [q, p];
-    if (p[2] <= NEAR) continue;
-    if (q[2] < NEAR) q = mixed(p, q, (p[2] - NEAR) / (p[2] - q[2]));
-    const x = width / 2 + focal * p[0] / p[2], y = height / 2 - focal * p[1] / p[2];
-    const dx = width / 2 + focal * q[0] / q[2] - x, dy = height / 2 - focal * q[1] / q[2] - y;
-    const steps = Math.ceil(Math.max(Math.abs(dx), Math.abs(dy), 1));
-    // The part of the line that is in the picture.
-    let from = 0, to = 1;
-    for (const [start, change, limit] of [[x, dx, width], [y, dy, height]]) {
-      if (!change) { if (start < 0 || start >= limit) to = -1; continue; }
-      const ends = [-start / change, (limit - 1 - start) / change];
-      from = Math.max(from, Math.min(...ends));
-      to = Math.min(to, Math.max(...ends));
-    }
-    for (let k = Math.ceil(from * steps); k <= to * steps; k++) {
+    const line = pixelsOf(lines, o, view);
+    if (!line) continue;
+    const { x, y, dx, dy, steps, first, last } = line;
+    for (let k = first; k <= last; k++) {
       counts[Math.round(y + dy * k / steps) * width + Math.round(x + dx * k / steps)]++;
     }
   }
   const strength = 26 / Math.max(1, lines.length / 6 / 600);
   for (let at = 0; at < counts.length; at++) {
     if (counts[at]) pixels[at] = crowding[Math.min(255, Math.round(strength * counts[at]))];
+  }
+}
+
+// The box of the region; its edges are dashed behind points.
+function drawBox(edges, layer) {
+  const view = basis(), ink = packed(named("ink")), thick = Math.max(1, Math.round(1.5 * width / canvas.clientWidth));
+  for (let o = 0; o < edges.length; o += 6) {
+    const line = pixelsOf(edges, o, view);
+    if (!line) continue;
+    const { x, y, dx, dy, steps, first, last, start, end } = line;
+    for (let k = first; k <= last; k++) {
+      const share = k / steps, left = Math.round(x + dx * share), top = Math.round(y + dy * share);
+      // The inverse of the depth changes evenly along a line in the picture.
+      const far = 1 / ((1 - share) / start + share / end);
+      if (layer !== "lines" && depth[top * width + left] < far && k % (8 * thick) >= 3 * thick) continue;
+      for (let row = top; row < Math.min(height, top + thick); row++) {
+        pixels.fill(ink, row * width + left, row * width + Math.min(width, left + thick));
+      }
+    }
   }
 }
 
@@ -164,6 +192,7 @@ function draw() {
   const now = state();
   pixels.fill(background);
   (now.layer === "lines" ? drawLines : drawPoints)(now);
+  drawBox(region.edges(), now.layer);
   context.putImageData(image, 0, 0);
 }
 function redraw() {
@@ -201,6 +230,7 @@ function say() {
   const labels = { error: ["right", `${data.errorLimit} spacings off or more`], confidence: ["sure", "unsure"] }[color];
   find("legend").hidden = layer !== "recovered" || !labels;
   if (labels) [find("legend-good").textContent, find("legend-bad").textContent] = labels;
+  region.say(cloud);
 }
 function refresh() { say(); paint(); redraw(); }
 

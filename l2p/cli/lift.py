@@ -1,0 +1,81 @@
+"""Command ``l2p lift``: publish a map as lines, or as a share of its points."""
+
+from __future__ import annotations
+
+import os
+from argparse import Namespace
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+from l2p.cli.drop import dropped, warn_of_leaks
+from l2p.cli.outputs import check_outputs
+from l2p.errors import InputError
+from l2p.io.atomic import atomic_file
+from l2p.io.descriptors import load_described
+from l2p.io.line_files import line_ending, save_lines
+from l2p.io.scene_files import load_scene, save_scene, scene_ending, truth_bytes
+from l2p.judging.accuracy import spacing
+from l2p.maps.scene import Scene
+from l2p.maps.truth import Hiding
+from l2p.schemes.hide import hide
+from l2p.schemes.scheme import DEFAULT_SCHEME
+from l2p.show.tables import descriptor_text
+from l2p.utility import POINTS
+
+
+def lift(arguments: Namespace) -> None:
+    """Run ``l2p lift``."""
+    given = (arguments.scene, arguments.descriptors or None, arguments.drop_ids, arguments.drop_masks)
+    inputs = [path for path in given if path is not None]
+    check_outputs(inputs, [arguments.output, arguments.truth], arguments.force)
+    described, plain = arguments.descriptors is not None, arguments.scheme == POINTS
+    asked = [name for name, wanted in {"rgb": arguments.rgb, "descriptor": described}.items() if wanted]
+    if plain and arguments.truth is not None:
+        raise InputError("got --truth for points that are published as they are; expected none, as nothing is hidden")
+    (scene_ending if plain else line_ending)(arguments.output, asked)
+    scene, source = described_scene(arguments.scene, arguments.descriptors)
+    if arguments.rgb and scene.rgb is None:
+        raise InputError(f"{arguments.scene} has no colours; leave out --rgb")
+    drop, left_out = dropped(arguments, scene)
+    scheme = DEFAULT_SCHEME if plain else arguments.scheme
+    hidden = hide(scene, arguments.seed, arguments.fraction, scheme, arguments.rgb, described, drop=drop)
+    if plain:
+        save_scene(_points_of(hidden, arguments.rgb, described, scene), arguments.output, overwrite=arguments.force)
+    else:
+        _save_lines(arguments, hidden, scene)
+    print(f"{arguments.output}: {len(hidden.truth)} {'points' if plain else 'lines'} of {len(scene)} points")
+    if left_out:
+        print(left_out)
+    if source is not None:
+        print(f"descriptors of {printable(str(source))}: {descriptor_text(hidden.map.appearance)}")
+    warn_of_leaks(arguments.scene)
+
+
+def described_scene(path: str, descriptors: str | None) -> tuple[Scene, Path | None]:
+    """Read a scene and, unless ``descriptors`` is None, the descriptors of that file; empty: of the one beside it.
+
+    Return it with the file that the descriptors are from.
+    """
+    return (load_scene(path), None) if descriptors is None else load_described(path, descriptors or None)
+
+
+def printable(path: str) -> str:
+    """Return a path as printable text, even if its bytes are not valid text."""
+    return os.fsencode(path).decode("utf-8", errors="replace")
+
+
+def _points_of(hidden: Hiding, rgb: bool, described: bool, scene: Scene) -> Scene:
+    """The chosen points, in random order, with nothing but what is asked for."""
+    chosen = scene.rows(hidden.truth.index)
+    own = {"rgb": chosen.rgb if rgb else None, "descriptor": chosen.descriptor if described else None}
+    return Scene(chosen.xyz, **own, descriptor_kind=chosen.descriptor_kind if described else None)
+
+
+def _save_lines(arguments: Namespace, hidden: Hiding, scene: Scene) -> None:
+    with ExitStack() as stack:
+        if arguments.truth is not None:
+            # Renamed after the lines are written, so that a failure leaves neither file.
+            truth = stack.enter_context(atomic_file(arguments.truth, overwrite=arguments.force))
+            truth.write(truth_bytes(replace(hidden.truth, spacing=spacing(scene.xyz))))
+        save_lines(hidden.map, arguments.output, overwrite=arguments.force)
