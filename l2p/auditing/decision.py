@@ -160,7 +160,7 @@ def decide(audit: Audit, goal: Goal | None = None) -> Decision | None:
 
 
 def _options(audit: Audit, found: Localization, limit: Limit) -> list[Option]:
-    described = "descriptor" in audit.published
+    described = "descriptor" in audit.attackers[0]
     options = []
     full, kept = audit.attackers[0], audit.kept
     for fraction in audit.fractions:

@@ -16,7 +16,7 @@ from l2p.auditing.attackers import WORDS, Attacker
 from l2p.auditing.audit import Audit
 from l2p.auditing.charts import Chart, percent_axis, styles, svg
 from l2p.auditing.decision import Decision, Goal, Option, best_of, lift_command
-from l2p.show.page.numbers import count, fraction, percent
+from l2p.show.page.numbers import SPACE, count, fraction, length, percent
 from l2p.utility import BY_TRACKS, POINTS
 from l2p.utility.localization import Limit, Localization, Localized
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 #: Least share on the axis of what comes back, and the marks of the axis.
 _LEAST = 0.0005
 _TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+#: Most marks of a logarithmic axis.
+_MOST_MARKS = 6
 #: Opacity of the dominated.
 _GREY = 0.35
 
@@ -154,7 +156,8 @@ def decision_sentences(audit: Audit, decision: Decision) -> list[str]:
         f"Of the releases that {wish}, this one {rank}: {name}, {fraction(best.fraction)} of the points.",
         f"An attacker gets back {percent(best.recovered)} of the points of the map within 1 spacing "
         f"({percent(best.of_published)} of those published), and {percent(best.localized)} of {queries} cameras are "
-        f"localized {within}; half of them within {_position(best.position, found)} and {best.rotation:.2g} deg.",
+        f"localized {within}; half of them within {_position(best.position, found)} and "
+        f"{best.rotation:.2g}{SPACE}deg.",
     ]
     return [*chosen, *_plain(decision, within), *_measured(found, queries), *_dropping(audit, goal.limit, within)]
 
@@ -227,7 +230,7 @@ def _row(option: Option, decision: Decision, found: Localization, command: str) 
         percent(option.of_published),
         percent(option.localized),
         "lost" if lost else _position(option.position, found),
-        "lost" if lost else f"{option.rotation:.2g} deg",
+        "lost" if lost else f"{option.rotation:.2g}{SPACE}deg",
         decision.dominated(option) or not option.matchable,
         option == decision.best,
         command,
@@ -236,8 +239,8 @@ def _row(option: Option, decision: Decision, found: Localization, command: str) 
 
 def _position(value: float, found: Localization) -> str:
     if found.metric:
-        return f"{100 * value:.2g} cm" if value < 0.99 else f"{value:.3g} m"
-    return f"{100 * value:.2g} %"
+        return length(value, metric=True)
+    return f"{100 * value:.2g}{SPACE}%"
 
 
 def _csv(decision: Decision, rows: list[OptionRow]) -> bytes:
@@ -299,6 +302,22 @@ def _chart(decision: Decision, heading: str, caption: str, drawn: str, name: str
     return Chart(heading, caption, f"{heading}.{chosen} The table below has all figures.", drawn)
 
 
+def _marks(low: float, high: float) -> list[float]:
+    """Choose marks of a logarithmic axis: at 1, 2 and 5 of each power of ten, or at 1 only if these are many.
+
+    >>> _marks(0.004, 0.3), _marks(0.0031, 0.0071)
+    ([0.005, 0.01, 0.02, 0.05, 0.1, 0.2], [0.004, 0.005, 0.006, 0.007])
+    """
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    marks: list[float] = []
+    for digits in ((1,), (1, 2, 5), (1, 2, 3, 4, 5, 6, 7, 8, 9)):
+        found = [float(f"{digit}e{power}") for power in powers for digit in digits if low <= digit * 10**power <= high]
+        if len(found) > _MOST_MARKS:
+            break
+        marks = found
+    return marks
+
+
 def _draw(axes: Axes, decision: Decision, place: Callable[[Option], float], label: str, log: bool) -> None:
     name = "error" if log else "share"
     number = {id(option): row for row, option in enumerate(decision.options)}
@@ -327,11 +346,8 @@ def _draw(axes: Axes, decision: Decision, place: Callable[[Option], float], labe
     axes.set_yticks(ticks, [f"{100 * tick:g} %" for tick in ticks])
     if log:
         axes.set_xscale("log")
-        from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.xaxis.set_minor_formatter(NullFormatter())
+        marks = _marks(*axes.get_xlim())
+        axes.set_xticks(marks, [f"{mark:g}" for mark in marks])
     else:
         axes.set_xlim(0, 1)
         percent_axis(axes.xaxis)

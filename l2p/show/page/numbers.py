@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 #: Keeps a number and its unit on one line.
-_SPACE = "\N{NO-BREAK SPACE}"
+SPACE = "\N{NO-BREAK SPACE}"
 
 
 def percent(share: float) -> str:
@@ -17,7 +17,7 @@ def percent(share: float) -> str:
         number = f"{min(value, 99.9):.1f}"
     else:
         number = f"{value:.0f}" if value >= 1 or value == 0 else f"{value:.1g}"
-    return f"{number}{_SPACE}%"
+    return f"{number}{SPACE}%"
 
 
 def fraction(share: float) -> str:
@@ -26,7 +26,7 @@ def fraction(share: float) -> str:
     >>> fraction(0.07), fraction(0.125)
     ('7\\xa0%', '12.5\\xa0%')
     """
-    return f"{100 * share:.6g}{_SPACE}%"
+    return f"{100 * share:.6g}{SPACE}%"
 
 
 def length(value: float, metric: bool) -> str:
@@ -37,7 +37,7 @@ def length(value: float, metric: bool) -> str:
     """
     if not metric:
         return f"{value:.3g} scene units"
-    return f"{100 * value:.2g}{_SPACE}cm" if value < 0.99 else f"{value:.3g}{_SPACE}m"
+    return f"{100 * value:.2g}{SPACE}cm" if value < 0.99 else f"{value:.3g}{SPACE}m"
 
 
 def count(number: int) -> str:
