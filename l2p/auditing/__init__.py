@@ -1,4 +1,4 @@
 """The audit of a map and its report."""
 
 #: Default fractions of the points that are lifted, from the whole map to a very sparse one.
-FRACTIONS = (1.0, 0.5, 0.1, 0.05)
+FRACTIONS = (1.0, 0.5, 0.1, 0.05, 0.01)

@@ -29,7 +29,7 @@ from l2p.judging.scores import evaluate as score
 from l2p.maps.lines import LineCloud
 from l2p.maps.scene import Scene
 from l2p.show.tables import print_info, print_rows, print_scores, print_shares
-from l2p.utility import MOST_QUERIES, WRONG
+from l2p.utility import BY_DESCRIPTORS, BY_TRACKS, MOST_QUERIES, WRONG
 from l2p.work.progress import terminal_progress
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def audit(arguments: Namespace) -> None:
         device=arguments.device,
         memory=arguments.memory,
         queries=queries,
-        localizing=LocalizeConfig(wrong=(arguments.wrong,), most_queries=arguments.queries or None),
+        localizing=LocalizeConfig(arguments.matches, (arguments.wrong,), arguments.queries or None),
         progress=terminal_progress(),
         name=printable(arguments.scene),
         **settings_of(arguments),
@@ -132,9 +132,10 @@ def _queries(arguments: Namespace, scene: Scene | LineCloud, needed: bool) -> tu
         if isinstance(scene, LineCloud) or kind_of(arguments.scene) is not Kind.SCENE_MODEL:
             raise InputError("only a COLMAP model has the images that can be localized")
         poselib()
-        return queries_at(arguments.scene, scene), ""
+        by_features = arguments.matches == BY_DESCRIPTORS
+        return queries_at(arguments.scene, scene, arguments.descriptors or None, by_features), ""
     except InputError as error:
-        if needed or arguments.queries < 0:
+        if needed or arguments.queries < 0 or arguments.matches != BY_TRACKS:
             raise
         return None, sentence(error)
 
@@ -234,6 +235,7 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
         words += [] if value is None else [f"--{name.replace('_', '-')}", str(value)]
     words += ["--metric"] if arguments.metric else []
     words += [] if arguments.queries == MOST_QUERIES else ["--queries", str(arguments.queries)]
+    words += [] if arguments.matches == BY_TRACKS else ["--matches", arguments.matches]
     words += [] if arguments.wrong == WRONG else ["--wrong", f"{arguments.wrong:.15g}"]
     for name in ("localize", "recovered"):
         words += [f"--{name}", getattr(arguments, name)] if getattr(arguments, name) is not None else []

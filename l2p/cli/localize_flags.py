@@ -72,6 +72,13 @@ def add_decision(audit: argparse.ArgumentParser) -> None:
         help="most images of a COLMAP model to localize in each release; 0 leaves it out (default: %(default)s)",
     )
     audit.add_argument(
+        "--matches",
+        choices=MATCHING,
+        default=BY_TRACKS,
+        help="match them by the tracks of the model, with a share of wrong ones, or by the descriptors of their "
+        "features: --descriptors database.db, or hloc's (default: %(default)s)",
+    )
+    audit.add_argument(
         "--wrong",
         type=float,
         default=WRONG,

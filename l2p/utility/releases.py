@@ -13,10 +13,10 @@ from jaxtyping import Float, Int
 
 from l2p.checks import check_fraction
 from l2p.errors import InputError
-from l2p.io.colmap import read_model, scene_of_model
+from l2p.io.colmap import read_model
 from l2p.io.descriptors import opened_features
 from l2p.io.kinds import Kind, kind_of
-from l2p.io.scene_files import checked_scene
+from l2p.io.scene_files import load_scene
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
@@ -219,20 +219,27 @@ def read_queries(
     """
     if kind_of(model) is not Kind.SCENE_MODEL:
         raise InputError(f"{model} is no COLMAP model; expected one, since its images are what is localized")
-    read = read_model(model)
-    scene = checked_scene(model, scene_of_model(read))
-    assert scene.ids is not None
-    if not described:
-        return scene, queries_of(read, scene.ids)
-    with opened_features(model, features) as found:
-        return scene, queries_of(read, scene.ids, found)
+    scene = load_scene(model)
+    return scene, queries_at(model, scene, features, described)
 
 
-def queries_at(model: str | PathLike[str], scene: Scene) -> Queries:
-    """Read the images of a COLMAP model as queries, with the points of a scene of it; errors as :func:`localize`."""
+def queries_at(
+    model: str | PathLike[str],
+    scene: Scene,
+    features: str | PathLike[str] | None = None,
+    described: bool = False,
+) -> Queries:
+    """Read the images of a COLMAP model as queries, with the points of a scene of it; errors as :func:`localize`.
+
+    With ``described``, also the descriptors of their keypoints, from ``features`` or found beside the model.
+    """
     if scene.ids is None:
         raise InputError("got a scene without point ids; expected that of a COLMAP model")
-    return queries_of(read_model(model), scene.ids)
+    read = read_model(model)
+    if not described:
+        return queries_of(read, scene.ids)
+    with opened_features(model, features) as found:
+        return queries_of(read, scene.ids, found)
 
 
 def release_of(scene: Scene, scheme: str, fraction: float, seed: int) -> Release:
