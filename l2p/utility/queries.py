@@ -197,7 +197,8 @@ def rays_of(
     """Return the unit rays of pixels, NaN where pycolmap finds none, and the radians in a pixel there.
 
     The latter is the square root of the solid angle of a pixel, so that it is defined for all camera models; where it
-    cannot be computed, at the edge of an image, it is 1 over the focal length.
+    cannot be computed, at the edge of an image, it is that of the centre: 1 over the focal length, or the full turn over
+    the width of a spherical image, which has no focal length.
     """
     ray = _rays(camera, xy)
     right, below = _HALF * np.eye(2)
@@ -205,7 +206,9 @@ def rays_of(
     down = _rays(camera, xy + below) - _rays(camera, xy - below)
     with np.errstate(invalid="ignore"):
         pixel = np.sqrt(np.linalg.norm(np.cross(across, down), axis=1)) / (2 * _HALF)
-    return ray, np.where(np.isfinite(pixel) & (pixel > 0), pixel, 1 / camera.mean_focal_length())
+    focal = camera.mean_focal_length()
+    central = 1 / focal if focal > 0 else 2 * np.pi / camera.width
+    return ray, np.where(np.isfinite(pixel) & (pixel > 0), pixel, central)
 
 
 def _rays(camera: Any, xy: Float[np.ndarray, "keypoints 2"]) -> Float[np.ndarray, "keypoints 3"]:
