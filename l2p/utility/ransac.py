@@ -20,6 +20,8 @@ _YIELD = 0.75
 _MORE = 1.25
 #: Matches, as a multiple of a sample, that have to agree: a sample always agrees with its own poses.
 _AGREE = 2
+#: Most matches among which the search draws and judges; the last refinement has all. So many tell which pose is best.
+_SEARCHED = 400
 #: Steps of a local refinement; rounds of the last one, and steps in each.
 _LOCAL, _ROUNDS, _STEPS = 2, 5, 20
 #: Relative fall of the loss at which a refinement ends.
@@ -114,12 +116,30 @@ def locate(
     count = len(rows)
     if count < max(_AGREE * size, size + 1):
         return None
-    score = _Score(landmarks, bearing, pixel, rows, config)
-    best, least, wanted, drawn = None, math.inf, config.most_samples, 0
-    while drawn < max(wanted, config.least_samples) and drawn < config.most_samples:
+    whole = _Score(landmarks, bearing, pixel, rows, config)
+    some = np.sort(rng.choice(count, size=_SEARCHED, replace=False)) if count > _SEARCHED else np.arange(count)
+    best, drawn = _searched(_Score(landmarks, bearing[some], pixel[some], rows[some], config), size, rng, gravity)
+    if best is None:
+        return None
+    best = whole.refined(best)
+    inliers = whole.inliers(best)
+    if inliers.sum() < _AGREE * size:
+        return None
+    return Located(landmarks.leave(best), inliers, drawn)
+
+
+def _searched(
+    score: _Score, size: int, rng: np.random.Generator, gravity: Gravity | None
+) -> tuple[Float[np.ndarray, "3 4"] | None, int]:
+    """Find the best pose of samples of the matches; return it, and the number of samples drawn."""
+    config, count = score.config, len(score.rows)
+    # Of few matches, many have to agree: a pose with the least share that is accepted would have been found by then.
+    most = min(config.most_samples, _samples(_AGREE * size / count, size, config.confidence))
+    best, least, wanted, drawn = None, math.inf, most, 0
+    while drawn < min(max(wanted, config.least_samples), config.most_samples):
         drawn += 1
         some = rng.choice(count, size=size, replace=False, shuffle=False)
-        poses = landmarks.poses(bearing[some], rows[some], gravity)
+        poses = score.landmarks.poses(score.bearing[some], score.rows[some], gravity)
         if not len(poses):
             continue
         losses = score.losses(poses)
@@ -129,14 +149,8 @@ def locate(
         best, least = score.improved(poses[first], float(losses[first]))
         # A sample agrees with its own pose: only the other matches tell how many agree.
         agree = (int(score.inliers(best).sum()) - size) / (count - size)
-        wanted = _samples(_MORE * max(agree, 0), size, config.confidence)
-    if best is None:
-        return None
-    best = score.refined(best)
-    inliers = score.inliers(best)
-    if inliers.sum() < _AGREE * size:
-        return None
-    return Located(landmarks.leave(best), inliers, drawn)
+        wanted = min(most, _samples(_MORE * max(agree, 0), size, config.confidence))
+    return best, drawn
 
 
 def _samples(share: float, size: int, confidence: float) -> int:

@@ -50,7 +50,7 @@ def view() -> Callable[..., View]:
 
     def make(seed: int = 0, count: int = 80, noise: float = 0.0) -> View:
         rng = np.random.default_rng(seed)
-        rotation = Rotation.random(random_state=seed).as_matrix()
+        rotation = Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
         local = rng.uniform((-2, -2, 3), (2, 2, 8), size=(count, 3))
         center = np.array([1.0, -2.0, 3.0]) - rotation.T @ [0, 0, 5.5]
         pose = Pose(rotation, -rotation @ center)

@@ -45,7 +45,7 @@ def residual_of_line(pose: Pose, bearing: np.ndarray, origin: np.ndarray, direct
     inside = bearing - (bearing @ normal) * normal
     # distance * inside = one + step * (other - one)
     distance, _ = np.linalg.lstsq(np.column_stack([inside, one - other]), one, rcond=None)[0]
-    return abs(bearing @ normal) if distance > 0 else math.pi / 2
+    return abs(float(bearing @ normal)) if distance > 0 else math.pi / 2
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -148,7 +148,7 @@ def test_enter_and_leave_are_inverse(view, kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_residuals_do_not_depend_on_position_rotation_and_scale_of_the_scene(view, kind):
     seen = view(noise=3.0)
-    turn, move, scale = Rotation.random(random_state=9).as_matrix(), np.array([4e3, -7e3, 1e3]), 250.0
+    turn, move, scale = Rotation.from_rotvec([1.0, -2.0, 0.4]).as_matrix(), np.array([4e3, -7e3, 1e3]), 250.0
     other = replace(
         seen,
         xyz=scale * seen.xyz @ turn.T + move,

@@ -116,14 +116,20 @@ def test_pixels_that_no_ray_meets_are_nan():
 # Which points the map without a query has
 
 
+def ids_of(model: Any) -> np.ndarray:
+    ids = scene_of_model(model).ids
+    assert ids is not None
+    return ids
+
+
 def of(path: Path) -> tuple[Any, Queries]:
     model = read_model(path)
-    return model, queries_of(model, scene_of_model(model).ids)
+    return model, queries_of(model, ids_of(model))
 
 
 def test_queries_are_the_images_with_their_observations(room):
     model, queries = of(room)
-    ids = scene_of_model(model).ids
+    ids = ids_of(model)
     assert [query.name for query in queries.all] == sorted(image.name for image in model.images.values())
     for query in queries.all:
         image = next(image for image in model.images.values() if image.name == query.name)
@@ -142,7 +148,7 @@ def test_queries_are_the_images_with_their_observations(room):
 
 def test_the_map_without_a_query_has_what_two_other_images_see(room):
     model, queries = of(room)
-    ids = scene_of_model(model).ids
+    ids = ids_of(model)
     for query in queries.all[::7]:
         found = queries.map_without(query)
         for row, key in enumerate(ids.tolist()):
@@ -164,7 +170,7 @@ def test_an_image_that_sees_a_point_twice_counts_once(room):
     )
     model.delete_observation(image.image_id, other)
     model.add_observation(key, pycolmap.TrackElement(image.image_id, other))
-    ids = scene_of_model(model).ids
+    ids = ids_of(model)
     queries = queries_of(model, ids)
     row = int(np.searchsorted(ids, key))
     assert queries.images[row] == 2
@@ -196,7 +202,7 @@ def without_images(model: Any, kept: int) -> Any:
 def test_one_and_two_images_are_too_few(room, kept):
     model = without_images(read_model(room), kept)
     with pytest.raises(InputError, match=r"expected at least 3: each is left out") as refused:
-        queries_of(model, scene_of_model(model).ids)
+        queries_of(model, ids_of(model))
     assert "\n" not in str(refused.value)
 
 
@@ -228,4 +234,4 @@ def broken_camera(model: Any) -> None:
 def test_cameras_that_cannot_be_localized_are_refused(room, change, message):
     model = changed(room, change)
     with pytest.raises(InputError, match=message):
-        queries_of(model, scene_of_model(model).ids)
+        queries_of(model, ids_of(model))

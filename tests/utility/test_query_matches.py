@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from l2p.errors import InputError
-from l2p.io.colmap import read_model, scene_of_model
 from l2p.utility.matching import RATIO, by_descriptors, by_tracks
-from l2p.utility.queries import Pose, Queries, Query, queries_of, unit
+from l2p.utility.queries import Pose, Queries, Query, unit
+from l2p.utility.releases import read_queries
 
 
 def query_of(point: np.ndarray, name: str = "query", descriptor: np.ndarray | None = None) -> Query:
@@ -77,8 +77,7 @@ def test_a_release_of_one_landmark_has_no_wrong_match(rng):
 
 
 def test_points_that_fewer_than_two_other_images_see_are_not_matched(room, rng):
-    model = read_model(room)
-    queries = queries_of(model, scene_of_model(model).ids)
+    _, queries = read_queries(room)
     query = queries.all[3]
     matches = by_tracks(query, np.where(queries.map_without(query), np.arange(queries.points), -1), 0.0, rng)
     others = np.zeros(queries.points, dtype=int)
@@ -104,12 +103,18 @@ def described(rng: np.random.Generator, images: int = 4, points: int = 40, noise
     return Queries(tuple(found), points)
 
 
+def own(query: Query) -> np.ndarray:
+    """Unit descriptors of a query."""
+    assert query.descriptor is not None
+    return query.descriptor / np.linalg.norm(query.descriptor, axis=1, keepdims=True)
+
+
 def mean_without(queries: Queries, query: Query, point: int) -> np.ndarray:
     total = np.zeros(16)
     for other in queries.all:
         if other.name != query.name:
             for row in np.flatnonzero(other.point == point):
-                total += other.descriptor[row] / np.linalg.norm(other.descriptor[row])
+                total += own(other)[row]
     return total / np.linalg.norm(total)
 
 
@@ -120,12 +125,12 @@ def test_matches_by_descriptors_equal_a_loop(rng):
         landmark_of = np.full(queries.points, -1)
         landmark_of[point] = rng.permutation(len(point))
         means = {row: mean_without(queries, query, row) for row in point}
-        own = [each / np.linalg.norm(each) for each in query.descriptor]
+        found_in = own(query)
         expected = []
-        for keypoint, descriptor in enumerate(own):
+        for keypoint, descriptor in enumerate(found_in):
             far = sorted((float(np.linalg.norm(descriptor - mean)), row) for row, mean in means.items())
             (best, row), (second, _) = far[:2]
-            back = min(range(len(own)), key=lambda other: float(np.linalg.norm(own[other] - means[row])))
+            back = min(range(len(query)), key=lambda other: float(np.linalg.norm(found_in[other] - means[row])))
             if back == keypoint and best < RATIO * second:
                 expected.append((keypoint, landmark_of[row], query.point[keypoint] == row))
         found = by_descriptors(queries, query, landmark_of)
@@ -139,18 +144,16 @@ def test_descriptors_of_the_map_do_not_contain_those_of_the_query(rng):
     queries = described(rng)
     query, rows = queries.all[1], np.flatnonzero(queries.map_without(queries.all[1]))
     before = queries.descriptors_without(query, rows)
-    other = query_of(query.point, query.name, rng.normal(size=query.descriptor.shape).astype(np.float32))
+    other = query_of(query.point, query.name, rng.normal(size=(len(query), 16)).astype(np.float32))
     changed = Queries((queries.all[0], other, *queries.all[2:]), queries.points)
     assert np.allclose(changed.descriptors_without(other, rows), before, atol=1e-5)
-    assert np.allclose(before, [mean_without(queries, query, row) for row in rows], atol=1e-5)
+    assert np.allclose(before, [mean_without(queries, query, row) for row in rows.tolist()], atol=1e-5)
 
 
 def test_a_point_that_the_query_sees_twice_loses_both_descriptors(rng):
     queries = described(rng)
     one = queries.all[0]
-    twice = query_of(
-        np.append(one.point, one.point[0]), one.name, np.concatenate([one.descriptor, -one.descriptor[:1]])
-    )
+    twice = query_of(np.append(one.point, one.point[0]), one.name, np.concatenate([own(one), -own(one)[:1]]))
     changed = Queries((twice, *queries.all[1:]), queries.points)
     rows = np.flatnonzero(changed.map_without(twice))
     assert np.allclose(changed.descriptors_without(twice, rows), queries.descriptors_without(one, rows), atol=1e-5)

@@ -14,7 +14,7 @@ import l2p
 from l2p.errors import InputError
 from l2p.utility.landmarks import Gravity
 from l2p.utility.queries import Pose
-from l2p.utility.ransac import Located, RansacConfig, _samples, _Score, locate
+from l2p.utility.ransac import Located, RansacConfig, _samples, _Score, _searched, locate
 
 KINDS = ("points", "lines")
 CONFIG = RansacConfig()
@@ -125,7 +125,7 @@ def test_the_same_seed_gives_the_same_pose(view, kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_poses_move_with_the_scene(view, kind):
     seen = view(3, noise=0.5)
-    turn, move, scale = Rotation.random(random_state=5).as_matrix(), np.array([50.0, -20.0, 7.0]), 12.0
+    turn, move, scale = Rotation.from_rotvec([-0.5, 1.0, 2.0]).as_matrix(), np.array([50.0, -20.0, 7.0]), 12.0
     moved = replace(
         seen,
         xyz=scale * seen.xyz @ turn.T + move,
@@ -178,6 +178,26 @@ def test_no_more_samples_are_drawn_than_allowed_and_no_fewer(view):
     assert located(seen, "points", 0.0, least_samples=1)[0].samples <= 5
     found, _, _ = located(seen, "lines", 0.7, most_samples=30)
     assert found is None or found.samples <= 30
+
+
+def test_few_matches_that_agree_with_nothing_end_soon(view):
+    """Twelve of sixteen lines would have to agree, which a few samples find or rule out."""
+    seen, rng = view(count=16), np.random.default_rng(3)
+    landmarks = seen.landmarks("lines")
+    score = _Score(landmarks, rng.permutation(seen.bearing), seen.pixel, seen.rows, CONFIG)
+    _, drawn = _searched(score, 6, rng, None)
+    assert drawn <= _samples(12 / 16, 6, CONFIG.confidence) < 100
+
+
+def test_many_matches_are_searched_in_part_and_refined_as_a_whole(view):
+    seen = view(2, 1500, noise=1.0)
+    errors = []
+    for kind in KINDS:
+        found, _, right = located(seen, kind, 0.5)
+        assert found.inliers.shape == (1500,) and found.inliers[right].mean() > 0.95
+        errors.append(seen.error(found.pose))
+    # As close as 750 matches make it, not 200.
+    assert errors[0] < 1e-3 and errors[1] < 3e-3
 
 
 def test_number_of_samples_grows_with_wrong_matches_and_confidence():
