@@ -178,9 +178,8 @@ class LineLandmarks(_InFrame):
         self.direction = lines.direction
         self.moment = (lines.moment - np.cross(self.center, lines.direction)) / self.unit
         # poselib wants points of the lines; the sign of a direction has no meaning.
-        foot = np.cross(self.direction, self.moment)
-        self.origin = foot - _REACH * self.direction
-        self.plucker = np.concatenate([self.moment, self.direction], axis=1)
+        self.foot = np.cross(self.direction, self.moment)
+        self.origin = self.foot - _REACH * self.direction
 
     def __len__(self) -> int:
         return len(self.direction)
@@ -189,24 +188,26 @@ class LineLandmarks(_InFrame):
         self, bearing: Float[np.ndarray, "sample 3"], rows: Int[np.ndarray, " sample"], gravity: Gravity | None
     ) -> Poses:
         """Solve by poselib's ``gen_relpose_6pt``, or ``up4pl``."""
-        solvers, origin, direction = poselib(), self.origin[rows], self.direction[rows]
+        solvers, direction = poselib(), self.direction[rows]
         if gravity is None:
-            return _stacked(solvers.gen_relpose_6pt(origin, direction, np.zeros_like(origin), bearing))
-        foot = origin + _REACH * direction
+            return _stacked(solvers.gen_relpose_6pt(self.origin[rows], direction, np.zeros((len(rows), 3)), bearing))
         world = gravity.world.T
-        return gravity.found(solvers.up4pl(bearing @ gravity.camera.T, foot @ world, direction @ world))
+        return gravity.found(solvers.up4pl(bearing @ gravity.camera.T, self.foot[rows] @ world, direction @ world))
 
     def residuals(
         self, poses: Poses, bearing: Float[np.ndarray, "matches 3"], rows: Int[np.ndarray, " matches"]
     ) -> Float[np.ndarray, "poses matches"]:
         """Compute the angle between the bearing and the plane through the camera and the line; the bearing must also
         meet the line in front of the camera."""
-        turn, plucker = poses[:, :, :3], self.plucker[rows].T
-        normal = np.concatenate([turn, _cross_matrix(poses[:, :, 3]) @ turn], axis=2) @ plucker
-        direction = turn @ plucker[3:]
-        # The ray meets the line in front of the camera if it is on the side of the line's foot, direction x normal.
-        ahead = np.einsum("pim,pim->pm", np.cross(direction, normal, axis=1), bearing.T[None]) > 0
-        sine = np.abs(np.einsum("pim,im->pm", normal, bearing.T)) / np.linalg.norm(normal, axis=1)
+        # In the axes of the map, where a pose is the camera's centre and the turned bearings.
+        moment, direction, foot = self.moment[rows], self.direction[rows], self.foot[rows]
+        center = -(poses[:, None, :, 3] @ poses[:, :, :3])
+        ray = bearing @ poses[:, :, :3]
+        normal = moment - direction @ _cross_matrix(center[:, 0]).swapaxes(1, 2)
+        sine = np.abs(_dot(ray, normal)) / np.sqrt(np.maximum(_dot(normal, normal), np.finfo(float).tiny))
+        # The ray meets the line in front of the camera if it is on the side of the point nearest to the camera.
+        near = foot - center + (center @ direction.T).swapaxes(1, 2) * direction
+        ahead = _dot(ray, near) > 0
         return np.where(ahead, sine, np.pi / 2)
 
     def linearized(
@@ -239,9 +240,18 @@ def _stacked(poses: list[Any]) -> Poses:
     return np.array([each.Rt for each in poses]).reshape(-1, 3, 4)
 
 
+def _dot(
+    one: Float[np.ndarray, "poses matches 3"], other: Float[np.ndarray, "poses matches 3"]
+) -> Float[np.ndarray, "poses matches"]:
+    return np.einsum("pmi,pmi->pm", one, other)
+
+
 def _cross_matrix(vector: Float[np.ndarray, "poses 3"]) -> Float[np.ndarray, "poses 3 3"]:
     """Matrices M with M y = vector x y."""
-    return np.cross(vector[:, None], np.eye(3)).swapaxes(1, 2)
+    matrix = np.zeros((len(vector), 3, 3))
+    for row, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
+        matrix[:, first, second], matrix[:, second, first] = -vector[:, row], vector[:, row]
+    return matrix
 
 
 def _across(bearing: Float[np.ndarray, "matches 3"]) -> Float[np.ndarray, "matches 2 3"]:

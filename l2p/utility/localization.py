@@ -228,11 +228,13 @@ def parsed_limit(text: str) -> Limit:
     >>> parsed_limit("0.25m,2deg")
     Limit(position=0.25, rotation=2.0, metric=True)
     """
-    position, rotation, metric = None, math.inf, False
+    position, rotation, metric = None, None, False
     for part in text.replace(" ", "").split(","):
         for unit in ("deg", "cm", "m", "%"):
             if part.endswith(unit):
                 value = _number(part.removesuffix(unit), text)
+                if (rotation if unit == "deg" else position) is not None:
+                    raise InputError(_refused(text))
                 if unit == "deg":
                     rotation = value
                 else:
@@ -242,7 +244,7 @@ def parsed_limit(text: str) -> Limit:
             raise InputError(_refused(text))
     if position is None:
         raise InputError(_refused(text))
-    return Limit(position, rotation, metric)
+    return Limit(position, math.inf if rotation is None else rotation, metric)
 
 
 def _number(word: str, text: str) -> float:

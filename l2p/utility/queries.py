@@ -150,7 +150,7 @@ def queries_of(model: Any, ids: Int[np.ndarray, " points"], features: Features |
     seen = [each for each in observations(model, ids) if each.name in posed]
     if len(seen) <= LEAST_IMAGES:
         raise InputError(
-            f"got a model in which {len(seen)} images have a pose and see points; expected at least "
+            f"got a model with {len(seen)} image(s) of known pose that see points; expected at least "
             f"{LEAST_IMAGES + 1}: each is left out and localized in the map of the others"
         )
     queries = [_query(model, posed[each.name], each, features) for each in sorted(seen, key=lambda each: each.name)]
@@ -197,7 +197,8 @@ def rays_of(
     """Return the unit rays of pixels, NaN where pycolmap finds none, and the radians in a pixel there.
 
     The latter is the square root of the solid angle of a pixel, so that it is defined for all camera models; where it
-    cannot be computed, at the edge of an image, it is 1 over the focal length.
+    cannot be computed, at the edge of an image, it is that of the centre: 1 over the focal length, or a full turn over
+    the width of a spherical image, which has no focal length.
     """
     ray = _rays(camera, xy)
     right, below = _HALF * np.eye(2)
@@ -205,7 +206,9 @@ def rays_of(
     down = _rays(camera, xy + below) - _rays(camera, xy - below)
     with np.errstate(invalid="ignore"):
         pixel = np.sqrt(np.linalg.norm(np.cross(across, down), axis=1)) / (2 * _HALF)
-    return ray, np.where(np.isfinite(pixel) & (pixel > 0), pixel, 1 / camera.mean_focal_length())
+    focal = camera.mean_focal_length()
+    central = 1 / focal if focal > 0 else 2 * np.pi / camera.width
+    return ray, np.where(np.isfinite(pixel) & (pixel > 0), pixel, central)
 
 
 def _rays(camera: Any, xy: Float[np.ndarray, "keypoints 2"]) -> Float[np.ndarray, "keypoints 3"]:

@@ -14,10 +14,18 @@ from l2p.utility.queries import Pose
 
 #: Share of samples without a wrong match that give the right pose: noise, and poses that a solver drops.
 _YIELD = 0.75
+#: The search ends when a pose with so many times the inliers of the best would have been found. What agrees with a
+#: wrong pose is far less than what agrees with the right one, and the refinement finds the rest of its inliers; to
+#: demand 1 costs 1.25^6 = 3.8 times the samples for poses that differ by less than their noise.
+_MORE = 1.25
 #: Matches, as a multiple of a sample, that have to agree: a sample always agrees with its own poses.
 _AGREE = 2
-#: Steps of a refinement, and the relative gain at which it ends.
-_STEPS, _GAIN = 10, 1e-6
+#: Most matches among which the search draws and judges; the last refinement has all. So many tell which pose is best.
+_SEARCHED = 400
+#: Steps of a local refinement; rounds of the last one, and steps in each.
+_LOCAL, _ROUNDS, _STEPS = 2, 5, 20
+#: Relative fall of the loss at which a refinement ends.
+_GAIN = 1e-9
 #: Damping of a step of least squares, relative to the diagonal.
 _DAMPING = 1e-9
 
@@ -33,7 +41,7 @@ class RansacConfig:
     scale : float
         Scale of the Cauchy loss of the refinement, pixels.
     confidence : float
-        Probability that a sample without a wrong match was drawn, at which the search ends.
+        Probability that a better pose would have been found, at which the search ends.
     least_samples, most_samples : int
         Samples that are drawn, at least and at most.
     """
@@ -102,41 +110,52 @@ def locate(
     -----
     Poses are scored by the truncated squares of their residuals (MSAC; Torr and Zisserman, 2000). Each pose that is
     better than all before is refined on its inliers (Chum et al., 2003), and the number of samples follows from the
-    inliers of the best.
+    inliers of the best. The last refinement finds the least Cauchy loss of the inliers.
     """
     size = landmarks.sample if gravity is None else landmarks.upright_sample
     count = len(rows)
     if count < max(_AGREE * size, size + 1):
         return None
-    score = _Score(landmarks, bearing, pixel, rows, config)
-    best, least, wanted, drawn = None, math.inf, config.most_samples, 0
-    while drawn < max(wanted, config.least_samples) and drawn < config.most_samples:
+    whole = _Score(landmarks, bearing, pixel, rows, config)
+    some = np.sort(rng.choice(count, size=_SEARCHED, replace=False)) if count > _SEARCHED else np.arange(count)
+    best, drawn = _searched(_Score(landmarks, bearing[some], pixel[some], rows[some], config), size, rng, gravity)
+    if best is None:
+        return None
+    best = whole.refined(best)
+    inliers = whole.inliers(best)
+    if inliers.sum() < _AGREE * size:
+        return None
+    return Located(landmarks.leave(best), inliers, drawn)
+
+
+def _searched(
+    score: _Score, size: int, rng: np.random.Generator, gravity: Gravity | None
+) -> tuple[Float[np.ndarray, "3 4"] | None, int]:
+    """Find the best pose of samples of the matches; return it, and the number of samples drawn."""
+    config, count = score.config, len(score.rows)
+    # Of few matches, many have to agree: a pose with the least share that is accepted would have been found by then.
+    most = min(config.most_samples, _samples(_AGREE * size / count, size, config.confidence))
+    best, least, wanted, drawn = None, math.inf, most, 0
+    while drawn < min(max(wanted, config.least_samples), config.most_samples):
         drawn += 1
         some = rng.choice(count, size=size, replace=False, shuffle=False)
-        poses = landmarks.poses(bearing[some], rows[some], gravity)
+        poses = score.landmarks.poses(score.bearing[some], score.rows[some], gravity)
         if not len(poses):
             continue
         losses = score.losses(poses)
         first = int(np.argmin(losses))
         if losses[first] >= least:
             continue
-        pose, loss = score.refined(poses[first], losses[first], 2)
-        best, least = pose, loss
-        wanted = _samples(score.inliers(best).mean(), size, config.confidence)
-    if best is None:
-        return None
-    best, _ = score.refined(best, least, _STEPS)
-    inliers = score.inliers(best)
-    if inliers.sum() < _AGREE * size:
-        return None
-    return Located(landmarks.leave(best), inliers, drawn)
+        best, least = score.improved(poses[first], float(losses[first]))
+        # A sample agrees with its own pose: only the other matches tell how many agree.
+        agree = (int(score.inliers(best).sum()) - size) / (count - size)
+        wanted = min(most, _samples(_MORE * max(agree, 0), size, config.confidence))
+    return best, drawn
 
 
 def _samples(share: float, size: int, confidence: float) -> int:
     """Number of samples after which one without a wrong match is as probable as the confidence."""
-    good = _YIELD * float(share) ** size
-    if good >= 1 - 1e-12:
-        return 1
+    good = _YIELD * min(share, 1) ** size
     return math.ceil(min(math.log(1 - confidence) / math.log1p(-max(good, 1e-12)), 1e9))
 
 
@@ -162,25 +181,47 @@ class _Score:
         """Matches within the threshold."""
         return self.residuals(pose[None])[0] <= self.config.threshold
 
-    def refined(
-        self, pose: Float[np.ndarray, "3 4"], loss: float, rounds: int
-    ) -> tuple[Float[np.ndarray, "3 4"], float]:
-        """Refine a pose on its inliers, which are chosen anew in each round, as long as its loss falls."""
-        for _ in range(rounds):
+    def cauchy(self, pose: Float[np.ndarray, "3 4"], inliers: Bool[np.ndarray, " matches"]) -> float:
+        """Sum of the Cauchy losses of some matches."""
+        return float(np.log1p((self.residuals(pose[None])[0, inliers] / self.config.scale) ** 2).sum())
+
+    def improved(self, pose: Float[np.ndarray, "3 4"], loss: float) -> tuple[Float[np.ndarray, "3 4"], float]:
+        """Improve a pose by a few steps, each on its inliers, as long as the truncated squares fall."""
+        for _ in range(_LOCAL):
             inliers = self.inliers(pose)
             if inliers.sum() < self.landmarks.sample:
                 break
-            moved = _step(
-                self.landmarks, pose, self.bearing[inliers], self.pixel[inliers], self.rows[inliers], self.config
-            )
+            moved = self._moved(pose, inliers)
             fallen = float(self.losses(moved[None])[0])
             if not fallen < loss:
                 break
-            small = loss - fallen <= _GAIN * loss
             pose, loss = moved, fallen
-            if small:
-                break
         return pose, loss
+
+    def refined(self, pose: Float[np.ndarray, "3 4"]) -> Float[np.ndarray, "3 4"]:
+        """Find the least Cauchy loss of the inliers of a pose; then that of its inliers, until they stay the same."""
+        inliers = self.inliers(pose)
+        for _ in range(_ROUNDS):
+            if inliers.sum() < self.landmarks.sample:
+                break
+            loss = self.cauchy(pose, inliers)
+            for _ in range(_STEPS):
+                moved = self._moved(pose, inliers)
+                fallen = self.cauchy(moved, inliers)
+                if not fallen < loss:
+                    break
+                small = loss - fallen <= _GAIN * loss
+                pose, loss = moved, fallen
+                if small:
+                    break
+            before, inliers = inliers, self.inliers(pose)
+            if (before == inliers).all():
+                break
+        return pose
+
+    def _moved(self, pose: Float[np.ndarray, "3 4"], inliers: Bool[np.ndarray, " matches"]) -> Float[np.ndarray, "3 4"]:
+        bearing, pixel, rows = self.bearing[inliers], self.pixel[inliers], self.rows[inliers]
+        return _step(self.landmarks, pose, bearing, pixel, rows, self.config)
 
 
 def _step(

@@ -101,6 +101,8 @@ class LocalizeConfig:
                 raise InputError(f"got {share:g} as a share of wrong matches; expected a number in [0, 1)")
         if self.most_queries is not None and self.most_queries < 1:
             raise InputError(f"got {self.most_queries} queries; expected at least 1")
+        if self.seed < 0:
+            raise InputError(f"got seed {self.seed}; expected 0 or more")
         if self.gravity is not None and not 0 < math.hypot(*self.gravity) < math.inf:
             raise InputError(f"got gravity {self.gravity}; expected the direction of gravity in the map, three numbers")
 
@@ -173,12 +175,21 @@ def localize(
     config = LocalizeConfig(
         matching, tuple(wrong), most_queries, gravity, seed, RansacConfig() if ransac is None else ransac
     )
+    if features is not None and matching != BY_DESCRIPTORS:
+        raise InputError(
+            f"got features {features} for matches by {matching}; expected them with matches by descriptors"
+        )
+    if not fractions:
+        raise InputError("got no share of the points; expected at least one, a number in (0, 1]")
     for share in fractions:
         check_fraction(share)
+    known = (POINTS, *SCHEMES)
+    if not schemes:
+        raise InputError(f"got no way to publish; expected at least one of {', '.join(known)}")
     for scheme in schemes:
-        if scheme != POINTS and scheme not in SCHEMES:
-            raise InputError(f"got scheme {scheme!r}; expected some of {', '.join((POINTS, *SCHEMES))}")
-    scene, queries = read_queries(model, features if matching == BY_DESCRIPTORS else None, matching == BY_DESCRIPTORS)
+        if scheme not in known:
+            raise InputError(f"got scheme {scheme!r}; expected some of {', '.join(known)}")
+    scene, queries = read_queries(model, features, matching == BY_DESCRIPTORS)
     releases = []
     for share in sorted(set(fractions), reverse=True):
         for scheme in dict.fromkeys(schemes):
