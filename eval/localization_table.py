@@ -33,7 +33,5 @@ def localization_tables(rows: Sequence[Row]) -> list[Table]:
             own = [row for row in here if row["method"] == method]
             scenes = str(len(distinct(own, "scene")))
             body.append([method, f"{100 * fraction:g} %", scenes, *(pooled(own, column) for column in columns)])
-    title = (
-        "what comes back, and how well cameras are localized (errors: where half of them were)"
-    )
+    title = "what comes back, and how well cameras are localized (errors: where half of them were)"
     return [Table(TABLE, title, ["method", "points", "scenes", *(column.heading for column in columns)], body)]
