@@ -23,6 +23,7 @@ from l2p.attacks.settings import DEFAULT_METHOD, owners_of
 from l2p.auditing import FRACTIONS
 from l2p.auditing.attackers import Attacker, attackers_of, others
 from l2p.auditing.left_out import LeftOut
+from l2p.auditing.region_asked import AskedRegion
 from l2p.auditing.trial import Prediction, Trial
 from l2p.checks import check_fraction
 from l2p.errors import InputError
@@ -76,6 +77,8 @@ class Audit:
         Attributes that were left out on request.
     left_out : LeftOut or None
         Points that were left out on request.
+    region : AskedRegion or None
+        What comes back of the region that was asked about.
     localization : Localization or None
         Images of the map, localized in its releases; None without queries.
     undropped : Localization or None
@@ -93,6 +96,7 @@ class Audit:
     published: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
     left_out: LeftOut | None = None
+    region: AskedRegion | None = None
     localization: Localization | None = None
     undropped: Localization | None = None
 
@@ -153,6 +157,7 @@ class Audit:
             "published": list(self.published),
             "ignored": list(self.ignored),
             "left_out": None if self.left_out is None else self.left_out.as_dict(),
+            "region": None if self.region is None else self.region.as_dict(),
             "versions": versions(),
             "machine": {**machine(), "threads": torch.get_num_threads()},
             "thresholds": THRESHOLDS.tolist(),
@@ -170,6 +175,7 @@ def audit(
     method: str = DEFAULT_METHOD,
     ignore: Collection[str] = (),
     drop: Bool[np.ndarray, " points"] | None = None,
+    region: Bool[np.ndarray, " points"] | None = None,
     metric: bool = False,
     device: str = "cpu",
     memory: float | None = None,
@@ -200,6 +206,8 @@ def audit(
     drop : (points,) bool, optional
         True for each point to leave out before any is published (:func:`l2p.hide`). The audit says how many of them
         have something within 1 spacing that is still there. Not with a line cloud.
+    region : (points,) bool, optional
+        True for each point of a region: the audit also says how much comes back of it. Not with a line cloud.
     metric : bool
         The scene is in metres.
     queries : Queries, optional
@@ -235,6 +243,8 @@ def audit(
     if isinstance(scene, LineCloud) and (fractions is not None or queries is not None):
         what = "queries" if fractions is None else "fractions"
         raise InputError(f"got {what} for a line cloud; expected none, since it is attacked as it is")
+    if isinstance(scene, LineCloud) and region is not None:
+        raise InputError("got a region for a line cloud, whose points are unknown; expected one with a scene")
     if isinstance(scene, LineCloud) and drop is not None:
         raise InputError("got points to drop for a line cloud, which has none; drop them when the map is lifted")
     scene = scene if isinstance(scene, LineCloud | Scene) else Scene(scene)
@@ -248,6 +258,8 @@ def audit(
         scale = spacing(trials[0].recovery.xyz)
         return Audit(name, len(scene), scale, trials, method, None, metric, None, published.names, ignored)
     wanted = _fractions(FRACTIONS if fractions is None else fractions)
+    if region is not None and (region.shape != (len(scene),) or not region.any()):
+        raise InputError(f"got a region of {region.sum()} of {region.size} points; expected some of {len(scene)}")
     kept = len(scene) if drop is None else len(kept_rows(drop, len(scene)))
     scale = spacing(scene.xyz)
     trials = ()
@@ -267,6 +279,7 @@ def audit(
         published.names,
         ignored,
         None if drop is None else LeftOut.of(scene.xyz[drop], pairs, scale),
+        None if region is None else AskedRegion.of(region, trials, scale),
     )
     if queries is None:
         return found

@@ -15,6 +15,7 @@ from l2p.auditing.audit import Audit
 from l2p.auditing.charts import charts
 from l2p.auditing.decision import decide
 from l2p.auditing.left_out import LeftOut
+from l2p.auditing.region_asked import AskedRegion
 from l2p.auditing.tradeoff import ReleaseInputs, tradeoff
 from l2p.auditing.trial import Trial
 from l2p.auditing.words import sentences
@@ -177,7 +178,8 @@ def _tables(audit: Audit) -> list[Table]:
     if not audit.known:
         return [_predicted_table(audit)]
     left_out = [] if audit.left_out is None else [_left_out_table(audit, audit.left_out)]
-    return [_measured_table(audit), *([_metric_table(audit)] if audit.metric else []), *left_out]
+    region = [] if audit.region is None else [_region_table(audit, audit.region)]
+    return [_measured_table(audit), *([_metric_table(audit)] if audit.metric else []), *left_out, *region]
 
 
 def _measured_table(audit: Audit) -> Table:
@@ -201,6 +203,21 @@ def _metric_table(audit: Audit) -> Table:
     return _by_trial(
         audit, "In centimetres", heads, rows, "These lengths are right if the units of the map are metres."
     )
+
+
+def _region_table(audit: Audit, region: AskedRegion) -> Table:
+    """What comes back of the region that was asked about."""
+    heads = [Head("Published in it"), Head("Of these, within 1 spacing"), Head("Median error (spacings)")]
+    rows = [
+        [
+            count(trial.published),
+            "-" if trial.within is None else percent(trial.within),
+            "-" if trial.median is None else f"{trial.median:.2f}",
+        ]
+        for trial in region.trials
+    ]
+    note = f"{count(region.points)} points of the map are in the region, by their true places, ids or masks."
+    return _by_trial(audit, "The region", heads, rows, note)
 
 
 def _left_out_table(audit: Audit, left_out: LeftOut) -> Table:

@@ -13,7 +13,7 @@ _TELLING = 0.02
 
 def sentences(audit: Audit) -> list[str]:
     """Return all sentences, the headline first."""
-    return [each for make in (headline, left_out, alone, savings, typical, sparser) if (each := make(audit))]
+    return [each for make in (headline, region, left_out, alone, savings, typical, sparser) if (each := make(audit))]
 
 
 def headline(audit: Audit) -> str:
@@ -47,6 +47,23 @@ def _knowledge(within: float, half: float) -> str:
     if half - within >= _TELLING:
         return f"the attacker has some idea which: the most confident half is right {percent(half)}"
     return f"the attacker can hardly tell which: the most confident half is right only {percent(half)}"
+
+
+def region(audit: Audit) -> str:
+    """What comes back of the region that was asked about, at the largest fraction; empty if none was."""
+    asked = audit.region
+    if asked is None:
+        return ""
+    first = asked.trials[0]
+    what = f"{count(asked.points)} points of the map are in the region"
+    if first.within is None or first.median is None:
+        return f"{what}; none of them is published."
+    whole = audit.trials[0].within
+    than = "" if whole is None else f", of all published points {percent(whole)}"
+    return (
+        f"{what}: of {count(first.published)} that are published {percent(first.within)} come back within 1 "
+        f"spacing{than}; their median error is {first.median:.2g} spacings."
+    )
 
 
 def left_out(audit: Audit) -> str:

@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from l2p.cli.drop import asks_to_drop, drop_words, dropped
-from l2p.cli.flags import settings_of
+from l2p.cli.chosen import asks_for_points, chosen, dropped, point_words
+from l2p.cli.flags import POINT_FLAGS, settings_of
 from l2p.cli.lift import described_scene, printable
 from l2p.cli.lift import lift as lift
 from l2p.cli.localize import localize as localize
@@ -66,8 +66,9 @@ def audit(arguments: Namespace) -> None:
     lines_given = kind_of(arguments.scene) in LINE_CLOUDS
     if lines_given and arguments.descriptors is not None:
         raise InputError("got --descriptors for a line cloud; expected none, since its file has all that is published")
-    if lines_given and asks_to_drop(arguments):
-        raise InputError("got --drop-... for a line cloud, whose points are unknown; expected it of l2p lift")
+    for flag in POINT_FLAGS:
+        if lines_given and asks_for_points(arguments, flag):
+            raise InputError(f"got --{flag}-... for a line cloud, whose points are unknown; expected it of l2p lift")
     scene = load_lines(arguments.scene) if lines_given else described_scene(arguments.scene, arguments.descriptors)[0]
     goal = parsed_goal(arguments.localize, arguments.recovered)
     queries, why = _queries(arguments, scene, needed=goal is not None)
@@ -81,6 +82,7 @@ def audit(arguments: Namespace) -> None:
         method=arguments.method,
         ignore=arguments.ignore,
         drop=None if isinstance(scene, LineCloud) else dropped(arguments, scene)[0],
+        region=None if isinstance(scene, LineCloud) else chosen(arguments, scene, "region")[0],
         metric=arguments.metric,
         device=arguments.device,
         memory=arguments.memory,
@@ -92,7 +94,7 @@ def audit(arguments: Namespace) -> None:
     )
     command = _audit_command(arguments, lines_given)
     release = ReleaseInputs(
-        goal, printable(arguments.scene), arguments.descriptors or None, tuple(drop_words(arguments)), why
+        goal, printable(arguments.scene), arguments.descriptors or None, tuple(point_words(arguments, "drop")), why
     )
     with figures_file(arguments, figures_of(found, command, release)):
         save_report(
@@ -206,7 +208,7 @@ def demo(arguments: Namespace) -> None:
 def _check_report(arguments: Namespace, files: Iterable[str]) -> None:
     """Refuse wrong arguments of an audit before the scene is read."""
     given = (arguments.scene, arguments.checkpoint, arguments.descriptors or None)
-    given += (arguments.drop_ids, arguments.drop_masks)
+    given += (arguments.drop_ids, arguments.drop_masks, arguments.region_ids, arguments.region_masks)
     inputs = [path for path in given if path is not None]
     check_outputs(inputs, [file_of(arguments.json)], arguments.force)
     check_folder(arguments.output, overwrite=arguments.force, replaceable=frozenset(files))
@@ -227,7 +229,7 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
     if arguments.descriptors is not None:
         words += ["--descriptors", *([arguments.descriptors] if arguments.descriptors else [])]
     words += ["--ignore", ",".join(arguments.ignore)] if arguments.ignore else []
-    words += drop_words(arguments)
+    words += [*point_words(arguments, "drop"), *point_words(arguments, "region")]
     words += [] if lines_given else ["--seed", str(arguments.seed)]
     words += ["--method", arguments.method]
     flags = {**settings_of(arguments), **{name: getattr(arguments, name) for name in ("device", "threads", "memory")}}

@@ -25,27 +25,32 @@ def add_method(command: argparse.ArgumentParser, leave_out: tuple[str, ...] = ()
             _add_setting(command, name)
 
 
-def add_drop(command: argparse.ArgumentParser) -> None:
-    """Add the flags of points to leave out (:mod:`l2p.cli.drop`)."""
+#: What the flags of points do, by their first word.
+POINT_FLAGS = {"drop": "leave out", "region": "tell how much comes back of"}
+
+
+def add_points(command: argparse.ArgumentParser, flag: str) -> None:
+    """Add the flags that choose points, ``--drop-box`` and so on (:mod:`l2p.cli.chosen`)."""
+    what = POINT_FLAGS[flag]
     command.add_argument(
-        "--drop-box",
+        f"--{flag}-box",
         type=float,
         nargs=6,
         action="append",
         default=[],
         metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-        help="leave out the points in the box between two corners, scene units; may be given more than once, and inf "
-        "has no end",
+        help=f"{what} the points in the box between two corners, scene units; may be given more than once, and inf has "
+        "no end",
     )
     command.add_argument(
-        "--drop-ids",
+        f"--{flag}-ids",
         metavar="FILE",
-        help="leave out the points of these ids (COLMAP's point3D_id): text, npy, or npz with point3D_id",
+        help=f"{what} the points of these ids (COLMAP's point3D_id): text, npy, or npz with point3D_id",
     )
     command.add_argument(
-        "--drop-masks",
+        f"--{flag}-masks",
         metavar="FOLDER",
-        help="leave out each point that an image of the COLMAP model sees in a black pixel of its mask, "
+        help=f"{what} each point that an image of the COLMAP model sees in a black pixel of its mask, "
         "FOLDER/IMAGE_NAME.png",
     )
 

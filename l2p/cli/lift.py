@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from l2p.cli.drop import dropped, warn_of_leaks
+from l2p.cli.chosen import dropped, warn_of_leaks
 from l2p.cli.outputs import check_outputs
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file

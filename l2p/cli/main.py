@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from l2p.auditing import FRACTIONS
-from l2p.cli.flags import add_drop, add_method
+from l2p.cli.flags import add_method, add_points
 from l2p.cli.localize_flags import add_decision, add_localization
 from l2p.errors import InputError, LostProcessError, sentence
 from l2p.judging import CLEANING
@@ -131,7 +131,7 @@ def _add_lift(commands: Any) -> None:
         help="store the descriptors of the points, which help an attacker more: those of FILE (COLMAP's database.db, "
         "hloc's features, or npz), or, without FILE, those of an npz scene or found beside a COLMAP model",
     )
-    add_drop(lift)
+    add_points(lift, "drop")
     _add_force(lift)
 
 
@@ -243,7 +243,8 @@ def _add_audit(commands: Any) -> None:
         "an npz scene has its own",
     )
     _add_ignore(audit, "of the map")
-    add_drop(audit)
+    add_points(audit, "drop")
+    add_points(audit, "region")
     audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
     add_decision(audit)
     audit.add_argument(
