@@ -18,7 +18,8 @@ import torch
 from harness import print_table
 
 import l2p
-from l2p.attacks.learned.learned import Learned, LearnedConfig
+from l2p.attacks.learned.learned import Learned
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.teaching import TeachingConfig
 from l2p.attacks.named import named_attack
 from l2p.attacks.run import run

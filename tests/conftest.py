@@ -33,7 +33,7 @@ def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     import torch
 
     from l2p.attacks.learned.checkpoint import Checkpoint, save
-    from l2p.attacks.learned.learned import LearnedConfig
+    from l2p.attacks.learned.learned_config import LearnedConfig
     from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 
     with torch.random.fork_rng(devices=[]):

@@ -159,7 +159,7 @@ def test_package_data_are_there_and_not_ignored(file):
 
 def test_shipped_weights_are_installed_beside_the_code_and_say_how_they_were_made():
     from l2p.attacks.learned.checkpoint import read, shipped
-    from l2p.attacks.learned.learned import LearnedConfig
+    from l2p.attacks.learned.learned_config import LearnedConfig
     from l2p.attacks.learned.network import NetworkConfig
 
     assert shipped() == PACKAGE / "weights" / "learned.safetensors"

@@ -7,7 +7,8 @@ import torch
 from l2p.attacks.attack import Elements
 from l2p.attacks.learned.embedding import TAUGHT
 from l2p.attacks.learned.inputs import GEOMETRY
-from l2p.attacks.learned.learned import Learned, LearnedConfig
+from l2p.attacks.learned.learned import Learned
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 
 Calibration = dict[str, list[list[tuple[float, float]]]]

@@ -17,7 +17,7 @@ from l2p.attacks.learned import checkpoint
 from l2p.attacks.learned.checkpoint import Checkpoint, configured, network_of, opened
 from l2p.attacks.learned.inputs import inputs_of
 from l2p.attacks.learned.knowledge import LINES_ALONE
-from l2p.attacks.learned.learned import LearnedConfig
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import NetworkConfig
 from l2p.errors import InputError, sentence
 

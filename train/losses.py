@@ -11,7 +11,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from l2p.attacks.learned.edges import Edges
-from l2p.attacks.learned.learned import LearnedConfig, weighted_peak
+from l2p.attacks.learned.learned import weighted_peak
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import Judgement
 
 #: Distance, in local radii, at which the label of a candidate is 1/2, and the scale of its sigmoid.

@@ -17,7 +17,8 @@ from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from l2p.attacks.learned.learned import Learned, LearnedConfig
+from l2p.attacks.learned.learned import Learned
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import Judgement, LineTransformer
 from train.clouds import CloudSource, lifted
 from train.infonce import Embeddings

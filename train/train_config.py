@@ -11,7 +11,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from l2p.attacks.learned.checkpoint import configured
-from l2p.attacks.learned.learned import LearnedConfig
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import NetworkConfig
 from l2p.checks import check_fraction
 from l2p.errors import InputError

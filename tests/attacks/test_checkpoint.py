@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 import l2p
 from l2p.attacks.learned import checkpoint
 from l2p.attacks.learned.checkpoint import Checkpoint
-from l2p.attacks.learned.learned import LearnedConfig
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.run import run
 from l2p.errors import InputError

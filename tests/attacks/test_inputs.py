@@ -19,7 +19,7 @@ from l2p.attacks.learned.checkpoint import Checkpoint
 from l2p.attacks.learned.edges import Edges, edges_of, feature_names, vote_names
 from l2p.attacks.learned.inputs import GEOMETRY, INPUTS, inputs_of
 from l2p.attacks.learned.inputs.family import Inputs, Kind, Values
-from l2p.attacks.learned.learned import LearnedConfig
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.learned.nodes import Estimates, Nodes, NodesConfig, nodes_of
 from l2p.attacks.run import run

@@ -18,7 +18,8 @@ from l2p.attacks.learned.embedding import OTHER, SOURCES, TAUGHT, Appearances, E
 from l2p.attacks.learned.inputs import GEOMETRY, inputs_of
 from l2p.attacks.learned.inputs.likeness import Likeness
 from l2p.attacks.learned.knowledge import knowledges
-from l2p.attacks.learned.learned import Learned, LearnedConfig, State
+from l2p.attacks.learned.learned import Learned, State
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.learned.teaching import TeachingConfig, contrast, taught
 from l2p.attacks.run import run

@@ -21,7 +21,8 @@ from l2p.attacks.learned.checkpoint import Checkpoint
 from l2p.attacks.learned.embedding import embedded
 from l2p.attacks.learned.inputs import GEOMETRY
 from l2p.attacks.learned.knowledge import knowledges
-from l2p.attacks.learned.learned import Learned, LearnedConfig
+from l2p.attacks.learned.learned import Learned
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.learned.teaching import TeachingConfig
 from l2p.attacks.run import run

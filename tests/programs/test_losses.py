@@ -13,7 +13,8 @@ pytest.importorskip("hydra", reason="the training program needs the extra train:
 
 from l2p.attacks.learned.edges import Edges, feature_names, vote_names
 from l2p.attacks.learned.inputs import GEOMETRY, inputs_of
-from l2p.attacks.learned.learned import Learned, LearnedConfig
+from l2p.attacks.learned.learned import Learned
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import Judgement, LineTransformer, NetworkConfig
 from l2p.attacks.peak import PeakConfig
 from train.clouds import CloudSource, lifted

@@ -17,7 +17,8 @@ pytest.importorskip("hydra", reason="the training program needs the extra train:
 
 
 import l2p
-from l2p.attacks.learned.learned import Learned, LearnedConfig, weighted_peak
+from l2p.attacks.learned.learned import Learned, weighted_peak
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.errors import InputError
 from l2p.geometry.frame import Frame

@@ -27,7 +27,7 @@ from safetensors.torch import load_file
 
 import l2p
 from l2p.attacks.learned import checkpoint
-from l2p.attacks.learned.learned import LearnedConfig
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.run import run as attack
 from l2p.errors import InputError
 from train.lightning_parts import FigureTable

@@ -172,7 +172,7 @@ def _write_points(root: Path) -> None:
 
 
 def _write_checkpoint(root: Path) -> None:
-    from l2p.attacks.learned.learned import LearnedConfig
+    from l2p.attacks.learned.learned_config import LearnedConfig
     from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 
     with torch.random.fork_rng(devices=[]):

@@ -22,7 +22,8 @@ from torch import Tensor
 from l2p.attacks.learned.inputs import inputs_of
 from l2p.attacks.learned.inputs.family import Inputs
 from l2p.attacks.learned.knowledge import Calibrations, knowledges
-from l2p.attacks.learned.learned import Learned, LearnedConfig, rounds_with
+from l2p.attacks.learned.learned import Learned, rounds_with
+from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.settings import LearnedSettings
 from l2p.checks import check_fraction
