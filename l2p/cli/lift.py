@@ -44,7 +44,8 @@ def lift(arguments: Namespace) -> None:
         save_scene(_points_of(hidden, arguments.rgb, described, scene), arguments.output, overwrite=arguments.force)
     else:
         _save_lines(arguments, hidden, scene)
-    print(f"{arguments.output}: {len(hidden.truth)} {'points' if plain else 'lines'} of {len(scene)} points")
+    made = f"{len(hidden.truth)} points" if plain else f"{len(hidden.map)} lines"
+    print(f"{arguments.output}: {made} of {len(scene)} points")
     if left_out:
         print(left_out)
     if source is not None:

@@ -105,7 +105,7 @@ def test_a_scene_without_extent_is_refused():
 def test_a_few_points_are_enough():
     few = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
     found = l2p.audit(few, method="tomography")
-    assert [len(trial) for trial in found.trials] == [5, 2, 1, 1]
+    assert [len(trial) for trial in found.trials] == [5, 2, 1, 1, 1]
     assert len(found.trials) == len(FRACTIONS)
     report.report_page(found)
 
