@@ -136,7 +136,9 @@ def place(small_files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks_of(page)], ids=name_of)
-def test_code_blocks_run(page: Path, place: Path) -> None:
+def test_code_blocks_run(page: Path, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Of the images of the model, audits localize a few.
+    monkeypatch.setattr("l2p.cli.localize_flags.MOST_QUERIES", 2)
     names: dict[str, Any] = {"__name__": "page"}
     for block in blocks_of(page):
         if block.is_shell():

@@ -26,7 +26,7 @@ from l2p.show import window
 from l2p.show.exhibit import Exhibit
 
 #: The cheapest attack, where any will do.
-CHEAP = ("--method", "tomography", "--fractions", 1, 0.5)
+CHEAP = ("--method", "tomography", "--fractions", 1, 0.5, "--queries", 2)
 
 
 @pytest.fixture(scope="module")

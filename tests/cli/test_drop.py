@@ -18,7 +18,7 @@ from l2p.maps.region import Box
 from l2p.simulator import simulate_model
 
 #: The cheapest attack, where any will do.
-CHEAP = ("--method", "tomography", "--fractions", 1, 0.5)
+CHEAP = ("--method", "tomography", "--fractions", 1, 0.5, "--queries", 2)
 
 
 @pytest.fixture(scope="module")
