@@ -149,7 +149,7 @@ def test_descriptors_come_from_a_file_or_from_beside_the_model(files, tmp_path, 
     ids = l2p.load(model, l2p.Scene).ids
     assert ids is not None
     np.savez(tmp_path / "own.npz", point3D_id=ids, descriptor=np.ones((len(ids), 3), np.float32))
-    words = ("audit", model, "--method", SEES, "--fractions", 1, "--force", "-o", tmp_path / "report")
+    words = ("audit", model, "--method", SEES, "--fractions", 1, "--queries", 2, "--force", "-o", tmp_path / "report")
     assert run(*words, "--descriptors") == 2
     assert "has no descriptors in its folder or two above" in capsys.readouterr().err
     shutil.copy(tmp_path / "own.npz", model / "descriptors.npz")
