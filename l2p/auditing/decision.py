@@ -16,7 +16,7 @@ from l2p.auditing.attackers import Attacker
 from l2p.auditing.audit import Audit
 from l2p.errors import InputError
 from l2p.utility import POINTS
-from l2p.utility.localization import Limit, Localization, checked_limits, finite, parsed_limit
+from l2p.utility.localization import LIMITS, Limit, Localization, checked_limits, finite, parsed_limit
 
 #: Share of the queries that must be localized, if the user does not say.
 _ENOUGH = 0.9
@@ -112,6 +112,10 @@ class Decision:
         """Whether another release is better on one side and no worse on the other."""
         return any(other.dominates(option) for other in self.options)
 
+    def faint(self, option: Option) -> bool:
+        """Whether a release is shown in grey: it is dominated, or cameras could not find matches in it."""
+        return self.dominated(option) or not option.matchable
+
     @property
     def curves(self) -> dict[tuple[str, Attacker], list[Option]]:
         """Releases that differ in the fraction only."""
@@ -188,8 +192,7 @@ def _options(audit: Audit, found: Localization, limit: Limit) -> list[Option]:
 def _figures(found: Localization, scheme: str, fraction: float, limit: Limit) -> tuple[float, float, float]:
     """Share of the queries within the limit, and median errors."""
     trial = found.of(scheme, fraction)
-    position = trial.position if found.metric else trial.position / found.extent
-    return trial.within(limit, found.extent), position, trial.rotation
+    return trial.within(limit, found.extent), found.position(trial), trial.rotation
 
 
 def best_of(options: Sequence[Option], goal: Goal) -> Option | None:
@@ -222,7 +225,7 @@ def parsed_goal(localize: str | None, recovered: str | None) -> Goal | None:
         return Goal(parsed_limit(limit), _share(share or "90%", "--localize"))
     if share:
         raise InputError(f"got --localize {localize} and --recovered {recovered}; expected one share to reach, not two")
-    return Goal(parsed_limit(limit) if limit else Limit(0.005), recovered=_share(recovered, "--recovered"))
+    return Goal(parsed_limit(limit) if limit else LIMITS[1], recovered=_share(recovered, "--recovered"))
 
 
 def _share(text: str, flag: str) -> float:

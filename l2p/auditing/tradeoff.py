@@ -18,7 +18,7 @@ from l2p.auditing.charts import Chart, percent_axis, styles, svg
 from l2p.auditing.decision import Decision, Goal, Option, best_of, lift_command
 from l2p.show.page.numbers import SPACE, count, fraction, length, percent
 from l2p.utility import BY_TRACKS, POINTS
-from l2p.utility.localization import Limit, Localization, Localized
+from l2p.utility.localization import Limit, Localization
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -170,16 +170,11 @@ def _dropping(audit: Audit, limit: Limit, within: str) -> list[str]:
     fraction = audit.fractions[0]
     was, now = (each.of(audit.scheme, fraction) for each in (before, found))
     shares = [percent(trial.within(limit, found.extent)) for trial in (was, now)]
-    errors = ["lost" if math.isinf(trial.position) else _position(_shown(trial, found), found) for trial in (was, now)]
+    errors = ["lost" if math.isinf(trial.position) else _position(found.position(trial), found) for trial in (was, now)]
     return [
         f"Leaving {count(audit.left_out.points)} points out changed the share of cameras localized {within} in the "
         f"lines of the others from {shares[0]} to {shares[1]}, and their median error from {errors[0]} to {errors[1]}."
     ]
-
-
-def _shown(trial: Localized, found: Localization) -> float:
-    """Median error of position: metres, or a share of the extent."""
-    return trial.position if found.metric else trial.position / found.extent
 
 
 def _plain(decision: Decision, within: str) -> list[str]:
@@ -231,7 +226,7 @@ def _row(option: Option, decision: Decision, found: Localization, command: str) 
         percent(option.localized),
         "lost" if lost else _position(option.position, found),
         "lost" if lost else f"{option.rotation:.2g}{SPACE}deg",
-        decision.dominated(option) or not option.matchable,
+        decision.faint(option),
         option == decision.best,
         command,
     )
@@ -262,27 +257,40 @@ def _csv(decision: Decision, rows: list[OptionRow]) -> bytes:
 def _error_chart(decision: Decision, found: Localization) -> Chart:
     unit = "m" if found.metric else "% of the cameras' extent"
     factor = 1 if found.metric else 100
-    drawn = svg("error", lambda axes: _draw(axes, decision, lambda option: factor * option.position, unit, True))
+
+    def draw(axes: Axes) -> None:
+        _draw(axes, decision, "error", lambda option: factor * option.position, unit)
+        axes.set_xscale("log")
+        marks = _marks(*axes.get_xlim())
+        axes.set_xticks(marks, [f"{mark:g}" for mark in marks])
+        axes.minorticks_off()
+
     return _chart(
         decision,
         "What comes back, against the error of localization",
         "Each mark is a release. The further down, the less of the map comes back; the further to the left, the "
         "better cameras are localized. Filled: the attacker uses all that is published; hollow: the lines alone. "
         "Faint: another release is no worse on any side. The ring marks the release above.",
-        drawn,
+        svg("error", draw),
         "error",
     )
 
 
 def _share_chart(decision: Decision) -> Chart:
     label = f"cameras within {decision.goal.limit}"
-    drawn = svg("share", lambda axes: _draw(axes, decision, lambda option: option.localized, label, False))
+
+    def draw(axes: Axes) -> None:
+        _draw(axes, decision, "share", lambda option: option.localized, label)
+        axes.set_xlim(0, 1)
+        percent_axis(axes.xaxis)
+        axes.minorticks_off()
+
     return _chart(
         decision,
         "What comes back, against the cameras that are localized",
         f"The same releases by the share of the cameras within {decision.goal.limit}: the further to the right, the "
         "more.",
-        drawn,
+        svg("share", draw),
         "share",
     )
 
@@ -318,37 +326,26 @@ def _marks(low: float, high: float) -> list[float]:
     return marks
 
 
-def _draw(axes: Axes, decision: Decision, place: Callable[[Option], float], label: str, log: bool) -> None:
-    name = "error" if log else "share"
+def _draw(axes: Axes, decision: Decision, name: str, place: Callable[[Option], float], label: str) -> None:
     number = {id(option): row for row, option in enumerate(decision.options)}
     curves = decision.curves
     labels = [release_name(*key) for key in curves]
-    for (key, options), style in zip(curves.items(), styles(labels), strict=True):
+    for ((scheme, published), options), style in zip(curves.items(), styles(labels), strict=True):
         seen = [option for option in options if math.isfinite(place(option))]
         x = [place(option) for option in seen]
-        axes.plot(x, [max(option.recovered, _LEAST) for option in seen], **style)
-        look = {"marker": "o", "markersize": 6, "color": style["color"], "linestyle": "none", "clip_on": False}
-        for option, at in zip(seen, x, strict=True):
-            faint = decision.dominated(option) or not option.matchable
-            shown = _GREY if faint else 1.0
-            mark = f"{name}-{number[id(option)]}"
-            axes.plot([at], [max(option.recovered, _LEAST)], gid=mark, alpha=shown, **look)
+        back = [max(option.recovered, _LEAST) for option in seen]
+        axes.plot(x, back, **style)
+        look = {"marker": "o", "color": style["color"], "linestyle": "none", "clip_on": False}
+        hollow = {**look, "markerfacecolor": "none"}
+        for option, across, up in zip(seen, x, back, strict=True):
+            shown = _GREY if decision.faint(option) else 1.0
+            axes.plot([across], [up], gid=f"{name}-{number[id(option)]}", alpha=shown, markersize=6, **look)
             if option == decision.best:
-                big = {**look, "markersize": 14, "markerfacecolor": "none", "markeredgewidth": 2}
-                axes.plot([at], [max(option.recovered, _LEAST)], **big)
-        if key[1]:
-            hollow = {**look, "markerfacecolor": "none", "markersize": 4.5, "alpha": _GREY}
-            if key[0] != POINTS:
-                axes.plot(x, [max(option.alone, _LEAST) for option in seen], **hollow)
+                axes.plot([across], [up], markersize=14, markeredgewidth=2, **hollow)
+        if published and scheme != POINTS:
+            alone = [max(option.alone, _LEAST) for option in seen]
+            axes.plot(x, alone, markersize=4.5, alpha=_GREY, **hollow)
     floor = 0.6 * max(min(min(option.recovered, option.alone) for option in decision.options), _LEAST)
     axes.set(yscale="log", ylim=(floor, 1.1), xlabel=label, ylabel="of the map's points, come back")
     ticks = [tick for tick in _TICKS if tick >= floor]
     axes.set_yticks(ticks, [f"{100 * tick:g} %" for tick in ticks])
-    if log:
-        axes.set_xscale("log")
-        marks = _marks(*axes.get_xlim())
-        axes.set_xticks(marks, [f"{mark:g}" for mark in marks])
-    else:
-        axes.set_xlim(0, 1)
-        percent_axis(axes.xaxis)
-    axes.minorticks_off()

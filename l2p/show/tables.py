@@ -71,7 +71,7 @@ def print_localization(found: Localization) -> None:
     title = f"median errors of {len(found.trials[0].attempts)} queries"
     table = Table(*heads, *(f"within {limit}" for limit in found.limits), "s / query", title=title)
     for trial in found.trials:
-        position = trial.position if found.metric else 100 * trial.position / found.extent
+        position = found.position(trial) * (1 if found.metric else 100)
         table.add_row(
             trial.scheme,
             f"{100 * trial.fraction:g} %",

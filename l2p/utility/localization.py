@@ -169,8 +169,12 @@ class Localization:
         return METRIC_LIMITS if self.metric else LIMITS
 
     def of(self, scheme: str, fraction: float) -> Localized:
-        """The trial of a release, with the fewest wrong matches."""
+        """The first trial of a release."""
         return next(trial for trial in self.trials if (trial.scheme, trial.fraction) == (scheme, fraction))
+
+    def position(self, trial: Localized) -> float:
+        """Median error of position: metres in a metric map, else a share of the cameras' extent."""
+        return trial.position if self.metric else trial.position / self.extent
 
     def as_dict(self) -> dict[str, Any]:
         """Return all figures as plain values, for a JSON file; None in place of infinite errors."""

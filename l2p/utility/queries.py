@@ -96,9 +96,9 @@ class Queries:
         return images >= LEAST_IMAGES
 
     @cached_property
-    def descriptor_sum(self) -> tuple[Float[np.ndarray, "points length"], Int[np.ndarray, " points"]]:
-        """Sum and number of the unit descriptors of each point; InputError without descriptors."""
-        total, count = None, np.zeros(self.points, dtype=np.int64)
+    def descriptor_sum(self) -> Float[np.ndarray, "points length"]:
+        """Sum of the unit descriptors of each point; InputError without descriptors."""
+        total = None
         for query in self.all:
             if query.descriptor is None:
                 raise InputError("got queries without descriptors; expected features of the images to match by them")
@@ -106,16 +106,14 @@ class Queries:
                 total = np.zeros((self.points, query.descriptor.shape[1]), dtype=np.float32)
             seen = query.point >= 0
             np.add.at(total, query.point[seen], unit(query.descriptor[seen]))
-            np.add.at(count, query.point[seen], 1)
         assert total is not None
-        return total, count
+        return total
 
     def descriptors_without(self, query: Query, rows: Int[np.ndarray, " some"]) -> Float[np.ndarray, "some length"]:
         """Mean descriptor of some points over their tracks, without the observations of the query; unit vectors."""
-        total, _ = self.descriptor_sum
         place = np.full(self.points, -1)
         place[rows] = np.arange(len(rows))
-        found = total[rows]
+        found = self.descriptor_sum[rows]
         own = np.flatnonzero((query.point >= 0) & (place[query.point] >= 0))
         assert query.descriptor is not None
         np.subtract.at(found, place[query.point[own]], unit(query.descriptor[own]))

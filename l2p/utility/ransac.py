@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
 
 from l2p.errors import InputError
 from l2p.utility.landmarks import Gravity, Landmarks
@@ -240,14 +241,4 @@ def _step(
     gradient = np.einsum("m,mki,mk->i", weight, slope, residual, optimize=True)
     normal[np.diag_indices(6)] *= 1 + _DAMPING
     step = np.linalg.lstsq(normal, -gradient, rcond=None)[0]
-    return np.column_stack([_turned(step[:3]) @ pose[:, :3], pose[:, 3] + step[3:]])
-
-
-def _turned(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Rotation by a rotation vector (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-12:
-        return np.eye(3)
-    axis = vector / angle
-    skew = np.cross(axis, np.eye(3)).T
-    return np.eye(3) + math.sin(angle) * skew + (1 - math.cos(angle)) * skew @ skew
+    return np.column_stack([Rotation.from_rotvec(step[:3]).as_matrix() @ pose[:, :3], pose[:, 3] + step[3:]])

@@ -10,6 +10,7 @@ from os import PathLike
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from l2p.checks import check_fraction
 from l2p.errors import InputError
@@ -194,8 +195,7 @@ def localize(
     for share in sorted(set(fractions), reverse=True):
         for scheme in dict.fromkeys(schemes):
             releases.append(release_of(scene, scheme, share, seed))
-    trials = localized(queries, releases, config, progress)
-    return Localization(name, len(scene), queries.extent, metric, matching, gravity is not None, seed, trials)
+    return _localization(queries, releases, config, metric, progress, name)
 
 
 def localize_hidden(
@@ -213,6 +213,13 @@ def localize_hidden(
         for fraction, each in hidden.items()
         for make in (Release.of_points, Release.of_lines)
     ]
+    return _localization(queries, releases, config, metric, progress, name)
+
+
+def _localization(
+    queries: Queries, releases: Sequence[Release], config: LocalizeConfig, metric: bool, progress: Progress, name: str
+) -> Localization:
+    """Localize the queries in each release."""
     trials = localized(queries, releases, config, progress)
     upright = config.gravity is not None
     return Localization(name, queries.points, queries.extent, metric, config.matching, upright, config.seed, trials)
@@ -324,5 +331,4 @@ def _attempt(
 
 def _angle(rotation: Float[np.ndarray, "3 3"]) -> float:
     """Angle of a rotation, degrees; exact for small ones, too."""
-    skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
-    return math.degrees(math.atan2(float(np.linalg.norm(skew)), float(np.trace(rotation)) - 1))
+    return math.degrees(Rotation.from_matrix(rotation).magnitude())
