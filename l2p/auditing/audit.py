@@ -37,6 +37,7 @@ from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.maps.region import kept_rows
 from l2p.maps.scene import Scene
+from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
 from l2p.utility.localization import Localization
 from l2p.utility.queries import Queries
@@ -283,14 +284,11 @@ def audit(
     )
     if queries is None:
         return found
-    config = localizing or LocalizeConfig()
-
-    def localization(shares: Sequence[float], drop: Bool[np.ndarray, " points"] | None) -> Localization:
-        hidden = {share: hide(scene, seed, share, drop=drop) for share in shares}
-        return localize_hidden(queries, hidden, config, metric, progress, name)
-
-    whole = None if drop is None else localization(wanted[-1:], None)
-    return replace(found, localization=localization(wanted[::-1], drop), undropped=whole)
+    config, largest = localizing or LocalizeConfig(), found.fractions[0]
+    localized_in = partial(localize_hidden, queries, config=config, metric=metric, progress=progress, name=name)
+    whole = None if drop is None else localized_in({largest: hide(scene, seed, largest)})
+    published = {trial.fraction: Hiding(trial.lines, trial.truth) for trial in trials if trial.truth is not None}
+    return replace(found, localization=localized_in(published), undropped=whole)
 
 
 def _fractions(wanted: Sequence[float]) -> list[float]:

@@ -63,6 +63,12 @@ def audit(arguments: Namespace) -> None:
     from l2p.utility.releases import LocalizeConfig
 
     _check_report(arguments, FILES)
+    goal = parsed_goal(arguments.localize, arguments.recovered)
+    if goal is not None:
+        checked_limits([goal.limit], arguments.metric)
+    if arguments.queries < 0:
+        raise InputError(f"got --queries {arguments.queries}; expected 0 or more")
+    localizing = LocalizeConfig(arguments.matches, (arguments.wrong,), arguments.queries or None)
     lines_given = kind_of(arguments.scene) in LINE_CLOUDS
     if lines_given and arguments.descriptors is not None:
         raise InputError("got --descriptors for a line cloud; expected none, since its file has all that is published")
@@ -70,10 +76,7 @@ def audit(arguments: Namespace) -> None:
         if lines_given and asks_for_points(arguments, flag):
             raise InputError(f"got --{flag}-... for a line cloud, whose points are unknown; expected it of l2p lift")
     scene = load_lines(arguments.scene) if lines_given else described_scene(arguments.scene, arguments.descriptors)[0]
-    goal = parsed_goal(arguments.localize, arguments.recovered)
     queries, why = _queries(arguments, scene, needed=goal is not None)
-    if goal is not None:
-        checked_limits([goal.limit], arguments.metric)
     set_threads(arguments.threads)
     found = examine(
         scene,
@@ -87,7 +90,7 @@ def audit(arguments: Namespace) -> None:
         device=arguments.device,
         memory=arguments.memory,
         queries=queries,
-        localizing=LocalizeConfig(arguments.matches, (arguments.wrong,), arguments.queries or None),
+        localizing=localizing,
         progress=terminal_progress(),
         name=printable(arguments.scene),
         **settings_of(arguments),
@@ -127,8 +130,6 @@ def _queries(arguments: Namespace, scene: Scene | LineCloud, needed: bool) -> tu
     from l2p.utility.releases import queries_at
 
     try:
-        if arguments.queries < 0:
-            raise InputError(f"got --queries {arguments.queries}; expected 0 or more")
         if arguments.queries == 0:
             raise InputError("no images were to be localized (--queries 0)")
         if isinstance(scene, LineCloud) or kind_of(arguments.scene) is not Kind.SCENE_MODEL:
@@ -137,7 +138,7 @@ def _queries(arguments: Namespace, scene: Scene | LineCloud, needed: bool) -> tu
         by_features = arguments.matches == BY_DESCRIPTORS
         return queries_at(arguments.scene, scene, arguments.descriptors or None, by_features), ""
     except InputError as error:
-        if needed or arguments.queries < 0 or arguments.matches != BY_TRACKS:
+        if needed or arguments.matches != BY_TRACKS:
             raise
         return None, sentence(error)
 
