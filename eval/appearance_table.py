@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from eval.result_tables import Column, Table, decimals, distinct, pooled, spread_of
+from eval.result_tables import Column, Table, decimals, distinct, fractions_of, pooled, pooled_table, spread_of
 from eval.scoring import Row
 from eval.targets import References, by_cloud, cloud, confidence_columns, maximum, with_ratios
 from l2p.judging.measure import arithmetic_mean, geometric_mean
@@ -54,15 +54,8 @@ def _pooled_table(rows: Sequence[Row]) -> Table:
         Column("share - LOO's, worst scene", "over_bound", _minimum, signed),
         *confidence_columns(rows),
     ]
-    body = []
-    for fraction in _fractions(rows):
-        here = [row for row in rows if row["fraction"] == fraction]
-        for method in distinct(here, "method"):
-            own = [row for row in here if row["method"] == method]
-            scenes = str(len(distinct(own, "scene")))
-            body.append([method, f"{100 * fraction:g} %", scenes, *(pooled(own, column) for column in columns)])
     title = f"what appearance gives away: each method against itself on lines alone{spread_of(rows)}"
-    return Table(POOLED, title, ["method", "points", "scenes", *(column.heading for column in columns)], body)
+    return pooled_table(POOLED, title, rows, columns)
 
 
 def _scene_table(rows: Sequence[Row]) -> Table:
@@ -72,7 +65,7 @@ def _scene_table(rows: Sequence[Row]) -> Table:
     ]
     methods = distinct(rows, "method")
     body = []
-    for fraction in _fractions(rows):
+    for fraction in fractions_of(rows):
         here = [row for row in rows if row["fraction"] == fraction]
         for scene in distinct(here, "scene"):
             cells = []
@@ -99,7 +92,3 @@ def _ratio(value: float, below: float) -> float | None:
 
 def _minimum(values: Sequence[Any]) -> float:
     return float(np.min(values))
-
-
-def _fractions(rows: Sequence[Row]) -> list[float]:
-    return sorted(distinct(rows, "fraction"), reverse=True)

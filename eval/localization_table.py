@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from eval.result_tables import Column, Table, decimals, distinct, percent, pooled
+from eval.result_tables import Column, Table, decimals, percent, pooled_table
 from eval.scoring import Row
 from l2p.judging.measure import arithmetic_mean, geometric_mean
 
@@ -26,12 +26,5 @@ def localization_tables(rows: Sequence[Row]) -> list[Table]:
         Column("localized, lines", "lines_localized", arithmetic_mean, percent),
         Column("localized, points", "points_localized", arithmetic_mean, percent),
     ]
-    body = []
-    for fraction in sorted(distinct(known, "fraction"), reverse=True):
-        here = [row for row in known if row["fraction"] == fraction]
-        for method in distinct(here, "method"):
-            own = [row for row in here if row["method"] == method]
-            scenes = str(len(distinct(own, "scene")))
-            body.append([method, f"{100 * fraction:g} %", scenes, *(pooled(own, column) for column in columns)])
     title = "what comes back, and how well cameras are localized (errors: where half of them were)"
-    return [Table(TABLE, title, ["method", "points", "scenes", *(column.heading for column in columns)], body)]
+    return [pooled_table(TABLE, title, known, columns)]

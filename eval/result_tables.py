@@ -218,6 +218,23 @@ def scene_table(rows: Sequence[Row], fraction: float) -> Table:
     return Table("scenes", title, ["scene", "kind", "lines", *methods], body)
 
 
+def pooled_table(name: str, title: str, rows: Sequence[Row], columns: Sequence[Column]) -> Table:
+    """Tabulate figures of each method at each fraction, pooled over the scenes."""
+    body = []
+    for fraction in fractions_of(rows):
+        here = [row for row in rows if row["fraction"] == fraction]
+        for method in distinct(here, "method"):
+            own = [row for row in here if row["method"] == method]
+            scenes = str(len(distinct(own, "scene")))
+            body.append([method, f"{100 * fraction:g} %", scenes, *(pooled(own, column) for column in columns)])
+    return Table(name, title, ["method", "points", "scenes", *(column.heading for column in columns)], body)
+
+
+def fractions_of(rows: Iterable[Row]) -> list[float]:
+    """List the fractions, the largest first."""
+    return sorted(distinct(rows, "fraction"), reverse=True)
+
+
 def pooled(rows: Sequence[Row], column: Column) -> str:
     """Pool a figure over the scenes of each seed; mean ± standard deviation of several seeds."""
     per_seed = [pool_seed(rows, column, seed) for seed in distinct(rows, "seed")]

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +10,7 @@ from eval.cells import Cell, Store, read_json, write_json
 from eval.localizing import localization_of
 from eval.mean_curves import curves_of
 from l2p.io.atomic import atomic_file
+from l2p.io.csv_rows import csv_bytes
 from l2p.io.recovery_files import load_recovery
 from l2p.judging.accuracy import compare
 from l2p.judging.curves import SHARES, THRESHOLDS
@@ -38,21 +36,14 @@ def score(cell: Cell, store: Store, queries: int = 0) -> Row:
     return row
 
 
-def csv_bytes(rows: Iterable[Row]) -> bytes:
-    """Encode the tidy table: one line per cell, one column per figure; curves are only in the JSON."""
-    plain = [{name: value for name, value in row.items() if name != "curves"} for row in rows]
-    text = io.StringIO()
-    if plain:
-        writer = csv.DictWriter(text, list(plain[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(plain)
-    return text.getvalue().encode("utf-8")
-
-
 def write_results(store: Store, rows: list[Row], about: dict[str, Any]) -> None:
-    """Rewrite ``results.csv`` and ``results.json``, each whole or not at all."""
+    """Rewrite ``results.csv`` and ``results.json``, each whole or not at all.
+
+    The CSV is the tidy table: one line per cell, one column per figure; curves are only in the JSON.
+    """
+    plain = [{name: value for name, value in row.items() if name != "curves"} for row in rows]
     with atomic_file(store.folder / "results.csv", overwrite=True) as file:
-        file.write(csv_bytes(rows))
+        file.write(csv_bytes(plain))
     axes = {"thresholds": THRESHOLDS.tolist(), "shares": SHARES.tolist()}
     write_json(store.folder / "results.json", {**about, **axes, "rows": rows})
 

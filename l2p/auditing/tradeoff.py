@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
-import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from l2p.auditing.attackers import WORDS, Attacker
 from l2p.auditing.audit import Audit
 from l2p.auditing.charts import Chart, percent_axis, styles, svg
 from l2p.auditing.decision import Decision, Goal, Option, best_of, lift_command
+from l2p.io.csv_rows import csv_bytes
 from l2p.show.page.numbers import SPACE, count, fraction, length, percent
 from l2p.utility import BY_TRACKS, POINTS
 from l2p.utility.localization import Limit, Localization
@@ -239,19 +238,24 @@ def _position(value: float, found: Localization) -> str:
 
 
 def _csv(decision: Decision, rows: list[OptionRow]) -> bytes:
-    text = io.StringIO()
-    names = [
-        "release", "fraction", "recovered_of_map", "recovered_of_map_by_lines_alone", "recovered_of_published",
-        "localized", "median_position", "median_rotation_deg", "dominated", "best", "command",
-    ]  # fmt: skip
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    for option, row in zip(decision.options, rows, strict=True):
-        figures = (option.fraction, option.recovered, option.alone, option.of_published, option.localized)
-        writer.writerow(
-            [row.name, *figures, option.position, option.rotation, int(row.dominated), int(row.best), row.command]
-        )
-    return text.getvalue().encode("utf-8")
+    return csv_bytes(
+        [
+            {
+                "release": row.name,
+                "fraction": option.fraction,
+                "recovered_of_map": option.recovered,
+                "recovered_of_map_by_lines_alone": option.alone,
+                "recovered_of_published": option.of_published,
+                "localized": option.localized,
+                "median_position": option.position,
+                "median_rotation_deg": option.rotation,
+                "dominated": int(row.dominated),
+                "best": int(row.best),
+                "command": row.command,
+            }
+            for option, row in zip(decision.options, rows, strict=True)
+        ]
+    )
 
 
 def _error_chart(decision: Decision, found: Localization) -> Chart:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import os
 from argparse import Namespace
 from contextlib import ExitStack
 
+from l2p.cli.lift import printable
 from l2p.cli.outputs import check_outputs, figures_file, file_of
 from l2p.io.atomic import atomic_file
+from l2p.io.csv_rows import csv_bytes
 from l2p.show.tables import print_localization
-from l2p.utility.localization import Localization
 from l2p.work.progress import terminal_progress
 
 
@@ -33,20 +31,11 @@ def localize(arguments: Namespace) -> None:
         metric=arguments.metric,
         seed=arguments.seed,
         progress=terminal_progress(),
-        name=os.fsencode(arguments.scene).decode("utf-8", errors="replace"),
+        name=printable(arguments.scene),
     )
     with ExitStack() as stack:
         if arguments.csv is not None:
-            stack.enter_context(atomic_file(arguments.csv, overwrite=arguments.force)).write(_table(found))
+            stack.enter_context(atomic_file(arguments.csv, overwrite=arguments.force)).write(csv_bytes(found.rows()))
         stack.enter_context(figures_file(arguments, found.as_dict()))
     if arguments.json != "-":
         print_localization(found)
-
-
-def _table(found: Localization) -> bytes:
-    """Every query of every release as CSV."""
-    rows, text = found.rows(), io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue().encode("utf-8")

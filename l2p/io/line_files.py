@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Collection
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from jaxtyping import Float, Int
 
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
+from l2p.io.endings import checked_ending
 from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb
@@ -29,9 +29,6 @@ HELD: dict[str, tuple[str, ...]] = {".npz": ("rgb", "descriptor"), ".ply": ("rgb
 
 #: Scheme of line sets from other programs, which do not state how their directions were drawn.
 FOREIGN_SCHEME = "unknown"
-
-# Attributes as users name them.
-_NAMES = {"rgb": "colours", "descriptor": "descriptors"}
 
 #: Half the length of a drawn line, in units of the median distance of the lines from their centre.
 HALF_LENGTH = 3.0
@@ -87,13 +84,7 @@ def line_ending(path: str | PathLike[str], attributes: Collection[str] = ()) -> 
     InputError
         If l2p does not write such files, or they cannot hold one of the published ``attributes``.
     """
-    ending = Path(path).suffix.lower()
-    if ending not in HELD:
-        raise InputError(f"{path} ends with {ending!r}; expected a line cloud to end with .npz, .ply or .obj")
-    for name in attributes:
-        if name not in HELD[ending]:
-            raise InputError(f"{path} cannot hold {_NAMES[name]}; write .npz, or leave them out")
-    return ending
+    return checked_ending(path, "a line cloud", HELD, attributes)
 
 
 def segments(cloud: LineCloud) -> tuple[Float[np.ndarray, "lines 3"], Float[np.ndarray, "lines 3"]]:

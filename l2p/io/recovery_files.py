@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from jaxtyping import Float, UInt8
 from l2p.checks import OUT_OF_RANGE, in_range
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
+from l2p.io.endings import checked_ending
 from l2p.io.kinds import Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, point_records
@@ -47,9 +47,7 @@ _NAMES = (
 def save_recovery(recovery: Recovery, path: str | PathLike[str], *, overwrite: bool = False) -> None:
     """Write a recovery as npz (every line, in order) or PLY (the kept points), by the ending of ``path``."""
     writers = {".npz": _npz_bytes, ".ply": _ply_bytes}
-    ending = Path(path).suffix.lower()
-    if ending not in writers:
-        raise InputError(f"{path} ends with {ending!r}; expected a recovery to end with .npz or .ply")
+    ending = checked_ending(path, "a recovery", dict.fromkeys(writers, ()))
     with atomic_file(path, overwrite=overwrite) as file:
         file.write(writers[ending](recovery))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 
@@ -12,11 +11,15 @@ from l2p.checks import OUT_OF_RANGE, in_range
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.colmap import read_model, scene_of_model
+from l2p.io.endings import checked_ending
 from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb, point_records
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
+
+#: Published attributes that a file can hold beside the points, by its ending.
+HELD: dict[str, tuple[str, ...]] = {".npz": ("rgb", "descriptor"), ".ply": ("rgb",)}
 
 #: Newest version of the truth file. Version 1, without ``element``, is written if row i is behind line i.
 TRUTH_VERSION = 2
@@ -77,12 +80,7 @@ def scene_ending(path: str | PathLike[str], attributes: Collection[str] = ()) ->
     InputError
         If l2p does not write such files, or they cannot hold one of the published ``attributes``.
     """
-    ending = Path(path).suffix.lower()
-    if ending not in (".npz", ".ply"):
-        raise InputError(f"{path} ends with {ending!r}; expected points to end with .npz or .ply")
-    if ending == ".ply" and "descriptor" in attributes:
-        raise InputError(f"{path} cannot hold descriptors; write .npz, or leave them out")
-    return ending
+    return checked_ending(path, "points", HELD, attributes)
 
 
 def load_truth(path: str | PathLike[str]) -> Truth:

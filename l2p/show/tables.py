@@ -50,10 +50,8 @@ def print_scores(columns: dict[str, Scores]) -> None:
 
 def print_shares(rows: dict[str, list[float]], columns: list[str]) -> None:
     """Print the share of points within 1 spacing of each attacker (rows) at each fraction (columns) to stdout."""
-    table = Table("attacker sees", *columns, title="points within 1 spacing")
-    for attacker, shares in rows.items():
-        table.add_row(attacker, *(f"{share:.1%}" for share in shares))
-    console().print(table)
+    cells = [[attacker, *(f"{share:.1%}" for share in shares)] for attacker, shares in rows.items()]
+    print_rows("points within 1 spacing", ["attacker sees", *columns], cells)
 
 
 def print_rows(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
