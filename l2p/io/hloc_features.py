@@ -79,7 +79,8 @@ class HlocFeatures:
         self._file.close()
 
     def _array(self, dataset: Any, name: str) -> np.ndarray:
-        if not isinstance(dataset, self._dataset) or dataset.dtype.kind not in "fiu":
+        # Damaged headers name floats of 16 bytes, which no program writes.
+        if not isinstance(dataset, self._dataset) or dataset.dtype.kind not in "fiu" or dataset.dtype.itemsize > 8:
             raise InputError(f"{self.path} has features of {name} that are no numbers; extract features again")
         if dataset.size * dataset.dtype.itemsize > _MOST_INFLATED * dataset.id.get_storage_size():
             raise InputError(f"{self.path} is damaged in the features of {name}; extract features again")
