@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
 from l2p.errors import InputError
 from l2p.utility.landmarks import Gravity, Landmarks
@@ -234,6 +233,8 @@ def _step(
     config: RansacConfig,
 ) -> Float[np.ndarray, "3 4"]:
     """One step of iteratively reweighted least squares under the Cauchy loss."""
+    from scipy.spatial.transform import Rotation
+
     residual, slope = landmarks.linearized(pose, bearing, rows)
     residual, slope = residual / pixel[:, None], slope / pixel[:, None, None]
     weight = 1 / (1 + np.sum(residual**2, axis=1) / config.scale**2)

@@ -10,7 +10,6 @@ from os import PathLike
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from l2p.checks import check_fraction
 from l2p.errors import InputError
@@ -331,4 +330,6 @@ def _attempt(
 
 def _angle(rotation: Float[np.ndarray, "3 3"]) -> float:
     """Angle of a rotation, degrees; exact for small ones, too."""
+    from scipy.spatial.transform import Rotation
+
     return math.degrees(Rotation.from_matrix(rotation).magnitude())
