@@ -37,6 +37,9 @@ class LineCloud:
         Descriptor of the point behind each line.
     descriptor_kind : str, optional
         What computed the descriptors (:class:`l2p.maps.appearance.Appearance`).
+    second : Appearance, optional
+        Appearance of the second point behind each line, where lines pass through pairs of points; which of the two
+        points is the first is not told. It has the same attributes as the first.
 
     Raises
     ------
@@ -58,6 +61,7 @@ class LineCloud:
     scheme: str = "uniform"
     descriptor: np.ndarray | None = None
     descriptor_kind: str | None = None
+    second: Appearance | None = None
 
     def __post_init__(self) -> None:
         direction = finite_rows("direction", self.direction)
@@ -68,6 +72,13 @@ class LineCloud:
             )
         appearance = Appearance(self.rgb, self.descriptor, self.descriptor_kind)
         appearance.check_rows(len(direction), "lines")
+        if self.second is not None:
+            self.second.check_rows(len(direction), "lines")
+            if self.second.names != appearance.names:
+                raise InputError(
+                    f"got {', '.join(self.second.names) or 'nothing'} of the second points and "
+                    f"{', '.join(appearance.names) or 'nothing'} of the first; expected the same of both"
+                )
         length = np.linalg.norm(direction, axis=1, keepdims=True)
         refuse(np.abs(length[:, 0] - 1) > UNIT_TOLERANCE, "direction of length other than 1", "normalise the direction")
         direction = np.where(np.abs(length - 1) > _ROUNDING, direction / length, direction)
@@ -92,6 +103,7 @@ class LineCloud:
         direction: Float[np.ndarray, "lines 3"],
         appearance: Appearance = NO_APPEARANCE,
         scheme: str = "uniform",
+        second: Appearance | None = None,
     ) -> LineCloud:
         """Make lines through ``point`` along ``direction`` (any length but zero); the position on it is not stored."""
         point, direction = finite_rows("point", point), finite_rows("direction", direction)
@@ -104,7 +116,8 @@ class LineCloud:
         # the line and hardly on the point.
         foot = point - np.sum(point * direction, axis=1, keepdims=True) * direction
         moment = np.cross(foot, direction)
-        return cls(direction, moment, appearance.rgb, scheme, appearance.descriptor, appearance.descriptor_kind)
+        kind = appearance.descriptor_kind
+        return cls(direction, moment, appearance.rgb, scheme, appearance.descriptor, kind, second)
 
     @property
     def appearance(self) -> Appearance:
@@ -113,7 +126,8 @@ class LineCloud:
 
     def without(self, names: Collection[str]) -> LineCloud:
         """Leave out published attributes, some of ``rgb`` and ``descriptor``."""
-        return self._with(self.direction, self.moment, self.appearance.without(names))
+        second = None if self.second is None else self.second.without(names)
+        return self._with(self.direction, self.moment, self.appearance.without(names), second)
 
     @property
     def origin(self) -> Float[np.ndarray, "lines 3"]:
@@ -126,12 +140,14 @@ class LineCloud:
 
     def rows(self, index: Int[np.ndarray, " some"]) -> LineCloud:
         """Select lines by index, which may repeat."""
-        return self._with(self.direction[index], self.moment[index], self.appearance.rows(index))
+        second = None if self.second is None else self.second.rows(index)
+        return self._with(self.direction[index], self.moment[index], self.appearance.rows(index), second)
 
-    def _with(self, direction: np.ndarray, moment: np.ndarray, appearance: Appearance) -> LineCloud:
-        return LineCloud(
-            direction, moment, appearance.rgb, self.scheme, appearance.descriptor, appearance.descriptor_kind
-        )
+    def _with(
+        self, direction: np.ndarray, moment: np.ndarray, appearance: Appearance, second: Appearance | None
+    ) -> LineCloud:
+        kind = appearance.descriptor_kind
+        return LineCloud(direction, moment, appearance.rgb, self.scheme, appearance.descriptor, kind, second)
 
     def __len__(self) -> int:
         return len(self.direction)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,6 +11,11 @@ from jaxtyping import Bool, Float, Int
 from l2p.checks import element_rows
 from l2p.errors import InputError
 from l2p.maps.lines import LineCloud
+from l2p.maps.permuted import PermutedCloud
+from l2p.maps.planes import PlaneCloud
+
+#: What schemes publish.
+MAPS = (LineCloud, PlaneCloud, PermutedCloud)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +75,22 @@ class Hiding:
 
     Attributes
     ----------
-    map : LineCloud
+    map : LineCloud, PlaneCloud or PermutedCloud
     truth : Truth
 
     Raises
     ------
     InputError
-        If a point is behind a line that is not in the map.
+        If the map is of another type, or a point is behind an element that is not in it.
     """
 
-    map: LineCloud
+    map: Any
     truth: Truth
 
     def __post_init__(self) -> None:
+        if not isinstance(self.map, MAPS):
+            names = ", ".join(kind.__name__ for kind in MAPS)
+            raise InputError(f"got a map of type {type(self.map).__name__}; expected one of {names}")
         last = self.truth.element.max(initial=-1)
         if last >= len(self.map):
-            raise InputError(f"got a point behind line {last} of {len(self.map)} lines; expected lines of the map")
+            raise InputError(f"got a point behind element {last} of {len(self.map)}; expected elements of the map")

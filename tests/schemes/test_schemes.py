@@ -109,7 +109,7 @@ def test_the_command_hides_and_scores_by_any_scheme(scene: l2p.Scene, tmp_path: 
 
 def test_a_hiding_knows_its_lines(scene: l2p.Scene) -> None:
     lines = l2p.lift(scene, seed=0)
-    with pytest.raises(InputError, match="got a point behind line 300 of 300 lines"):
+    with pytest.raises(InputError, match="got a point behind element 300 of 300"):
         l2p.Hiding(lines, l2p.Truth(scene.xyz[:1], np.arange(1), element=np.array([300])))
 
 
