@@ -21,6 +21,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from l2p.attacks.structure import NO_STRUCTURE, Structure
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.maps.appearance import NO_APPEARANCE, Appearance
@@ -47,6 +48,8 @@ class Elements:
         float32.
     descriptor_kind : str or None
         What computed the descriptors.
+    structure : Structure
+        Relations of the lines that the scheme tells.
     """
 
     lines: Lines
@@ -54,15 +57,22 @@ class Elements:
     frame: Frame
     attributes: Mapping[str, Any] = field(default_factory=dict)
     descriptor_kind: str | None = None
+    structure: Structure = NO_STRUCTURE
 
     @classmethod
-    def sorted(cls, lines: Lines, frame: Frame, appearance: Appearance = NO_APPEARANCE) -> Elements:
+    def sorted(
+        cls,
+        lines: Lines,
+        frame: Frame,
+        appearance: Appearance = NO_APPEARANCE,
+        structure: Structure = NO_STRUCTURE,
+    ) -> Elements:
         """Sort lines, given in the order of the map, by their coordinates."""
         key = torch.cat([lines.direction, lines.moment], dim=1).cpu().numpy()
         row = torch.as_tensor(np.lexsort(key.T), device=lines.direction.device)
         published = attributes_of(appearance, lines.direction.device)
         attributes = {name: value[row] for name, value in published.items()}
-        return cls(lines.rows(row), row, frame, attributes, appearance.descriptor_kind)
+        return cls(lines.rows(row), row, frame, attributes, appearance.descriptor_kind, structure.sorted(row))
 
     def __len__(self) -> int:
         return len(self.row)

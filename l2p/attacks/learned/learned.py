@@ -36,6 +36,7 @@ from l2p.attacks.learned.knowledge import LINES_ALONE, Calibrations, between_rad
 from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import NOTHING, Judgement, LineTransformer
 from l2p.attacks.learned.nodes import Estimates, Nodes, described, neighborhood, nodes_of
+from l2p.attacks.learned.pairing import assigned, nearest_allowed
 from l2p.attacks.learned.teaching import taught
 from l2p.attacks.peak import find_peak, settled
 from l2p.attacks.tomography.posterior import Posterior, mass_within, modes
@@ -43,8 +44,6 @@ from l2p.attacks.tomography.reconstruct import LINE_BYTES as TOMOGRAPHY_BYTES
 from l2p.attacks.tomography.reconstruct import reconstruct
 from l2p.attacks.votes import equal_weights
 from l2p.errors import InputError
-from l2p.geometry.elements import Lines
-from l2p.geometry.nearest import nearest_points_to_lines
 from l2p.maps.appearance import ATTRIBUTES, Appearance
 from l2p.work.shards import BLOCK
 from l2p.work.work import ALONE, Work
@@ -132,9 +131,9 @@ class Learned(Attack):
         """Reconstruct the posterior; the first estimates are its modes."""
         self.network.eval().to(elements.row.device)
         elements, embedding = self.seen(elements)
-        posterior = reconstruct(elements.lines, self.config.tomography, work)
+        posterior = reconstruct(elements.lines, self.config.tomography, work, elements.structure)
         if saved is None:
-            return State(elements, posterior, self.first_nodes(elements.lines, posterior, work), embedding)
+            return State(elements, posterior, self.first_nodes(elements, posterior, work), embedding)
         nodes = nodes_of(elements.lines, Estimates(**saved), self.config.nodes, work)
         return self.schooled(State(elements, posterior, nodes, embedding), work)
 
@@ -233,11 +232,14 @@ class Learned(Attack):
     def _knows(self, elements: Elements) -> bool:
         return elements.descriptor_kind == self.network.config.kind
 
-    def first_nodes(self, lines: Lines, posterior: Posterior, work: Work = ALONE) -> Nodes:
+    def first_nodes(self, elements: Elements, posterior: Posterior, work: Work = ALONE) -> Nodes:
         """Build the nodes of the first round from the modes of the posterior."""
-        count = len(lines.direction)
-        mode, _ = modes(posterior)
+        lines, count = elements.lines, len(elements)
+        mode = modes(posterior)[0] if posterior.pair is None else _first_of(posterior.pair, elements, work)
         beta = work.gather(mode, count)
+        if elements.structure.twin is not None:
+            beta = self._assigned(elements, Estimates(beta, beta, beta[:, None])).beta
+            mode = beta[work.own(count)]
         around = neighborhood(lines, beta, self.config.nodes, work)
         confidence = work.gather(mass_within(posterior, mode, around.scale[work.own(count)]), count)
         state = beta.new_zeros(count, self.network.config.state)
@@ -248,7 +250,7 @@ class Learned(Attack):
         lines, nodes, count = state.elements.lines, state.nodes, self.config.candidates
         appearance = state.elements.attributes.get("appearance")
         k = count if appearance is None else max(count, self.config.alike)
-        near = nearest_points_to_lines(lines, nodes.point, k, scale=nodes.scale.sqrt(), work=work)
+        near = nearest_allowed(lines, nodes, k, state.elements.structure, work)
         if appearance is None or near.index.shape[1] <= count:
             return near.index
         first = work.own(len(nodes.beta)).start
@@ -294,9 +296,16 @@ class Learned(Attack):
 
     def moved(self, state: State, estimates: Estimates, work: Work = ALONE) -> State:
         """Build the nodes of the over-relaxed estimates, and let them teach."""
-        estimates = relaxed(state.nodes, estimates, self.config)
+        estimates = self._assigned(state.elements, relaxed(state.nodes, estimates, self.config))
         nodes = nodes_of(state.elements.lines, estimates, self.config.nodes, work)
         return self.schooled(state._replace(nodes=nodes), work)
+
+    def _assigned(self, elements: Elements, estimates: Estimates) -> Estimates:
+        """Decide which of the two points of a line is where, if their appearances tell."""
+        twin, appearance = elements.structure.twin, elements.attributes.get("appearance")
+        if twin is None or appearance is None:
+            return estimates
+        return assigned(elements.lines, estimates, twin, appearance)
 
     def passed_confidence(self, found: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:
         """Uncalibrated confidence within 1 spacing, passed to the next round."""
@@ -308,6 +317,13 @@ class Learned(Attack):
         logit = (calibration[:, 0] * result.found + calibration[:, 1]).cummax(dim=1).values
         log_radius = math.log(spacing_ratio(self.fraction, self.config.dimension))
         return torch.sigmoid(between_radii(logit, self.network.config.radii, log_radius))
+
+
+def _first_of(pair: Float[Tensor, "own 2"], elements: Elements, work: Work) -> Float[Tensor, " own"]:
+    """One of the two modes of each line: another one for each of its two points."""
+    row, twin = torch.arange(len(elements), device=pair.device), elements.structure.twin
+    assert twin is not None
+    return torch.where((row < twin)[work.own(len(elements))], pair[:, 0], pair[:, 1])
 
 
 def rounds_with(config: LearnedConfig, known: str) -> int:

@@ -12,12 +12,14 @@ from torch import Tensor
 class Posterior(NamedTuple):
     """Posterior of the point on each line: samples along the line and their probabilities, which sum to 1.
 
-    A line that misses the box has probability 0 everywhere. ``step`` is the distance of neighbouring samples.
+    A line that misses the box has probability 0 everywhere. ``step`` is the distance of neighbouring samples. Where a
+    line passes through a pair of points, the probabilities sum to 2, and ``pair`` holds its two most probable places.
     """
 
     beta: Float[Tensor, "lines m"]
     probability: Float[Tensor, "lines m"]
     step: Float[Tensor, " lines"]
+    pair: Float[Tensor, "lines 2"] | None = None
 
 
 def modes(posterior: Posterior) -> tuple[Float[Tensor, " lines"], Float[Tensor, " lines"]]:
