@@ -15,15 +15,15 @@ THROUGH = 1e-4
 #: Most centres and bundles that are counted.
 MOST_CENTRES = 8
 #: Lines in which centres and bundles are searched; all lines are then compared with those that are found.
-_SAMPLE = 1500
+_SAMPLE = 1000
 #: Most pairs of lines whose meeting point is tried as a centre, of the pairs that meet best.
 _TRIED = 300
 #: Least share of the lines through a centre, and least number.
 _LEAST_SHARE, _LEAST = 0.02, 3
 #: Distances that count as rounding: as a share of the distance from the origin of the scene, and in its units.
 _ROUNDING, _TINY = 1e-9, 1e-13
-#: Numbers in a block of reciprocal products, 64 MiB.
-_BLOCK = 1 << 23
+#: Numbers in a block of reciprocal products, 16 MiB.
+_BLOCK = 1 << 21
 
 
 class Centred(NamedTuple):
@@ -187,12 +187,16 @@ def with_parallel(direction: Float[np.ndarray, "lines 3"], rng: np.random.Genera
     return _with_equal(_tensor(direction), rng)
 
 
-def with_same(cloud: Centred, rng: np.random.Generator) -> Bool[np.ndarray, " lines"]:
-    """Mark lines that are there more than once, O(lines log lines)."""
-    foot = cloud.foot if cloud.unit else np.zeros_like(cloud.moment)
+def with_same(
+    cloud: Centred, parallel: Bool[np.ndarray, " lines"], rng: np.random.Generator
+) -> Bool[np.ndarray, " lines"]:
+    """Mark lines that are there more than once, of those to which another is ``parallel``."""
+    some = cloud.rows(parallel)
     # Far feet are compared relative to their distance.
-    size = np.maximum(1.0, np.linalg.norm(foot, axis=1, keepdims=True))
-    return _with_equal(np.concatenate((_tensor(cloud.direction), foot / size, 1 / size), axis=1), rng)
+    size = np.maximum(1.0, np.linalg.norm(some.moment, axis=1, keepdims=True))
+    same = np.zeros(len(parallel), dtype=bool)
+    same[parallel] = _with_equal(np.concatenate((_tensor(some.direction), some.foot / size, 1 / size), axis=1), rng)
+    return same
 
 
 def bundles(direction: Float[np.ndarray, "lines 3"], rng: np.random.Generator) -> Int[np.ndarray, " bundles"]:
@@ -226,10 +230,11 @@ def _with_equal(value: Float[np.ndarray, "lines numbers"], rng: np.random.Genera
     """Mark rows that equal another up to ``SAME``: equal rows are neighbours in the order of a random projection."""
     marked = np.zeros(len(value), dtype=bool)
     order = np.argsort(value @ rng.normal(size=value.shape[1]), kind="stable")
-    ordered = value[order]
+    columns = np.ascontiguousarray(value[order].T)
     # Rounding lets a few other rows of a large cloud come between two equal ones.
     for step in range(1, 6):
-        equal = np.abs(ordered[step:] - ordered[:-step]).max(axis=1) < SAME
-        marked[order[step:][equal]] = True
-        marked[order[:-step][equal]] = True
+        equal = np.arange(len(value) - step)
+        for column in columns:
+            equal = equal[np.abs(column[equal + step] - column[equal]) < SAME]
+        marked[order[equal]] = marked[order[equal + step]] = True
     return marked
