@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -32,6 +33,12 @@ class Structure(NamedTuple):
     def families(self) -> int:
         """Number of families: 1 if all lines may vote for one another."""
         return 1 if self.center is None else len(self.center)
+
+    @property
+    def span(self) -> float:
+        """Largest distance of two centres."""
+        assert self.center is not None
+        return float(torch.cdist(self.center, self.center).max())
 
     def sorted(self, row: Int[Tensor, " elements"]) -> Structure:
         """Structure of elements in another order; ``row`` is the former place of each."""

@@ -120,13 +120,13 @@ def recognise(lines: LineCloud) -> Recognition:
         raise InputError("got a line cloud without lines; expected at least one line")
     rng = np.random.default_rng(0x5EE)
     cloud = meeting.centred(lines.direction, lines.moment, rng)
-    found = (
-        _repeated(cloud, rng)
-        or _centred(cloud, rng)
-        or _directed(lines)
-        or _released(cloud, rng)
-        or _unsuspected(lines)
-    )
+    repeated, centred = _repeated(cloud, rng), None
+    if repeated is None or repeated.kind == REPEATED:
+        centred = _centred(cloud, rng)
+    if centred is not None and centred.scheme != UNKNOWN and _various(lines):
+        # Points that a map has twice give the same ray twice.
+        repeated = None
+    found = repeated or centred or _directed(lines) or _released(cloud, rng) or _unsuspected(lines)
     return _beside_the_file(found, lines)
 
 
@@ -134,6 +134,12 @@ def direction_statistic(direction: Float[np.ndarray, "lines 3"]) -> float:
     """Compute S = 7.5 N (tr T^2 - 1/3), about 5 for uniform directions; the sign of a direction does not matter."""
     tensor = direction.T @ direction / len(direction)
     return float(7.5 * len(direction) * (np.sum(tensor**2) - 1 / 3))
+
+
+def _various(lines: LineCloud) -> bool:
+    """Whether most of the directions differ: then what they have in common is not one line."""
+    rounded = np.round(lines.direction * np.where(lines.direction[:, 2:] < 0, -1, 1), 9)
+    return len(np.unique(rounded, axis=0)) > len(lines) / 2
 
 
 def _plain(kind: str, sentence: str, scheme: str = UNKNOWN, *, expected: bool = False) -> Recognition:

@@ -41,6 +41,10 @@ EMPTY = 1e-12
 #: Unit of mass in the integer sums: far below the rounding of the summands, and a power of two, so that nothing else
 #: is rounded. The sums hold 2^28 lines.
 _GRAIN = 2.0**-34
+#: Half the side of the box of lines through centres, over the largest distance of two centres, which are the means of
+#: two halves of the points; and the density before the first update, (1 + (distance / core)^2)^-fall from their middle.
+#: The weight r^2 would fill a larger box, or an even one, at its far end (``docs/experiments.md``, "Rays").
+_REACH, _CORE, _FALL = 1.25, 0.5, 3.0
 #: Number of cells above which refinement stops: eight times as many would overflow int32.
 MOST_CELLS = (1 << 28) - 2
 
@@ -133,10 +137,10 @@ def _converged(
     lines: Lines, config: TomographyConfig, work: Work = ALONE, structure: Structure = NO_STRUCTURE
 ) -> tuple[float, _Level, Float[Tensor, "families cells"]]:
     """Half the side of the box, the finest level, and the mass of each of its cells."""
-    half, own = _half_side(lines, config), work.own(len(lines.direction))
+    half, own = _half_side(lines, config, structure), work.own(len(lines.direction))
     lines, structure = lines.rows(own), structure.own(own)
     level = _first_level(lines, half, config.start, work, structure)
-    density = level.beta.new_ones(structure.families, config.start**3)
+    density = _first_density(structure, half, config.start, level.beta)
     with work.task("tomography", total=config.levels * config.iterations) as advance:
         for depth in range(config.levels):
             if depth > 0:
@@ -151,11 +155,26 @@ def _converged(
     return half, level, density
 
 
-def _half_side(lines: Lines, config: TomographyConfig) -> float:
+def _half_side(lines: Lines, config: TomographyConfig, structure: Structure = NO_STRUCTURE) -> float:
+    """Half the side of the box."""
+    if structure.center is not None and structure.families > 1:
+        # Lines through centres amid the points are near the centres, however large the scene is.
+        return _REACH * structure.span
     # torch.quantile refuses more than 2^24 values.
     distance = lines.moment.norm(dim=1).sort().values
     half = float(distance[min(len(distance) - 1, int(config.quantile * len(distance)))]) * config.margin
     return half if half > 0 else 1.0
+
+
+def _first_density(structure: Structure, half: float, side: int, like: Tensor) -> Float[Tensor, "families cells"]:
+    """Density before the first update: even, or, with the weight r^2 of lines through centres, around the centres."""
+    density = like.new_ones(structure.families, side**3)
+    if structure.center is None or structure.families == 1:
+        return density
+    middle = (torch.arange(side, device=like.device) + 0.5) * (2 * half / side) - half
+    place = torch.stack(torch.meshgrid(middle, middle, middle, indexing="ij"), dim=-1).view(-1, 3)
+    away2 = (place - structure.center.mean(dim=0)).square().sum(dim=1) / (_CORE * structure.span) ** 2
+    return density * (1 + away2) ** -_FALL
 
 
 def _first_level(
