@@ -37,6 +37,8 @@ FEW = 100
 #: Directions are not uniform beyond this value of S, which uniform directions exceed once in a million clouds: the
 #: 1 - 1e-6 quantile of chi-squared with 5 degrees of freedom.
 _LARGEST_S = 35.9
+#: Median distance from the best centre, as a share of its own from the origin, that may be rounding in single precision.
+_SINGLE = 2e-7
 #: Least share of the lines that are the same as, or parallel to, another: a few do no harm.
 _LEAST_REPEATED = 0.01
 #: Share of the lines in centres, or in bundles, from which the sentence speaks of all lines.
@@ -134,7 +136,7 @@ def recognise(lines: LineCloud) -> Recognition:
         or _centred(cloud, ~repeated, rng)
         or _repeated(repeated)
         or _partly_parallel(cloud, rng)
-        or _directed(lines)
+        or _directed(lines, cloud)
         or _released(cloud, rng)
         or _unsuspected(lines)
     )
@@ -205,9 +207,14 @@ def _centred(
     return Recognition(kind, sentence, scheme, points, family, expected=False)
 
 
-def _directed(lines: LineCloud) -> Recognition | None:
+def _directed(lines: LineCloud, cloud: meeting.Centred) -> Recognition | None:
+    """Directions that are not uniform."""
     if direction_statistic(lines.direction) <= _LARGEST_S:
         return None
+    if cloud.unit <= _SINGLE * np.linalg.norm(cloud.place):
+        family = np.zeros(len(lines), dtype=np.int64)
+        sentence = f"The {_number(len(lines))} lines pass through one point, up to single precision."
+        return Recognition(ONE_CENTRE, sentence, "sphere", cloud.place[None], family, expected=False)
     if _pairs(lines):
         return _of_pairs(lines)
     count = _number(len(lines))
