@@ -22,6 +22,7 @@ from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
+from l2p.schemes.recognition import recognise
 from l2p.version import __version__
 from l2p.work.memory import allotted
 from l2p.work.progress import NO_PROGRESS, Progress
@@ -69,7 +70,9 @@ def recover(
     Returns
     -------
     Recovery
-        Points in the order of the lines.
+        Points in the order of the lines. Its confidence is a probability (``calibrated``) only for uniform lines, as
+        far as the lines can tell; ``info["recognised"]`` says what they were recognised as
+        (:mod:`l2p.schemes.recognition`).
 
     Raises
     ------
@@ -125,10 +128,12 @@ def run(
     element = np.arange(len(lines)) if estimate.element is None else estimate.element.cpu().numpy()
     placed = lines if estimate.element is None else lines.rows(element)
     beta = frame.leave(placed, estimate.beta)
+    recognised = recognise(lines)
     info = {
         "method": name or type(attack).__name__,
         "settings": attack.settings(),
         "used": list(attack.uses(lines.appearance)),
+        "recognised": recognised.as_dict(),
         "device": str(where),
         "seconds": time.perf_counter() - began,
     }
@@ -140,7 +145,8 @@ def run(
         neighbors=estimate.neighbors.cpu().numpy().astype(np.int64),
         affinity=estimate.affinity.float().cpu().numpy(),
         info=info,
-        calibrated=attack.calibrated,
+        # The calibration was made on uniform lines, and says nothing about others.
+        calibrated=attack.calibrated and recognised.expected,
         element=element,
     )
 

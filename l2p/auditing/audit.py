@@ -144,6 +144,11 @@ class Audit:
         """Whether the confidence is the probability of lying within 1 spacing."""
         return self.trials[0].recovery.calibrated
 
+    @property
+    def recognised(self) -> dict[str, Any]:
+        """What the lines were recognised as (:meth:`l2p.schemes.recognition.Recognition.as_dict`)."""
+        return self.trials[0].recovery.info["recognised"]
+
     def as_dict(self) -> dict[str, Any]:
         """Return all figures, settings and versions as plain values, for a JSON file."""
         return {

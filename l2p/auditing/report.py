@@ -186,7 +186,8 @@ def _measured_table(audit: Audit) -> Table:
     shown = [figure for figure in _shown(audit) if figure.need is not Need.METRIC]
     note = " ".join(filter(None, (figure.note for figure in shown)))
     if not audit.calibrated:
-        note += f" The confidence of the method {audit.method} ranks points and is no probability."
+        lines = "" if audit.recognised["expected"] else " on these lines"
+        note += f" The confidence of the method {audit.method} ranks points and is no probability{lines}."
     heads = [*_heads(shown), Head("Seconds")]
     rows = [[*_values(trial, shown), f"{trial.seconds:.1f}"] for trial in audit.trials]
     by = "By fraction of the points" if len(audit.attackers) == 1 else "By fraction of the points, and by attacker"

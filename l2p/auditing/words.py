@@ -13,7 +13,11 @@ _TELLING = 0.02
 
 def sentences(audit: Audit) -> list[str]:
     """Return all sentences, the headline first."""
-    return [each for make in (headline, region, left_out, alone, savings, typical, sparser) if (each := make(audit))]
+    return [
+        each
+        for make in (headline, unexpected, region, left_out, alone, savings, typical, sparser)
+        if (each := make(audit))
+    ]
 
 
 def headline(audit: Audit) -> str:
@@ -38,6 +42,14 @@ def headline(audit: Audit) -> str:
         )
     recovered = f"{knowing}{percent(within)} of the {of} are recovered within {spacing}"
     return f"{recovered}." if half is None else f"{recovered}; {_knowledge(within, half)} of the time."
+
+
+def unexpected(audit: Audit) -> str:
+    """What the lines are, if the attack was not calibrated on such; empty for uniform lines."""
+    found = audit.recognised
+    if found["expected"]:
+        return ""
+    return f"No probability is stated, because the attack was calibrated on uniform lines only. {found['sentence']}"
 
 
 def _knowledge(within: float, half: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,6 +25,7 @@ from l2p.io.state_files import StateFile, state_path
 from l2p.judging.clean import inliers
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
+from l2p.schemes.recognition import NOT_STATED
 from l2p.work.progress import terminal_progress
 
 if TYPE_CHECKING:
@@ -77,6 +79,7 @@ def _recover(arguments: Namespace, place: Place) -> None:
         work=Work(place.shards, state, terminal_progress()),
         name=arguments.method,
     )
+    _warn_of_lines(recovery)
     if arguments.seed is not None:
         recovery = replace(recovery, info={**recovery.info, "seed": arguments.seed})
     with _rounds_left(state):
@@ -95,6 +98,13 @@ def _rounds_left(state: StateFile) -> Iterator[None]:
         raise InputError(f"{error}; {state.path} has the rounds: add --resume") from error
 
 
+def _warn_of_lines(recovery: Recovery) -> None:
+    """Say on stderr what the lines were recognised as, unless they are uniform."""
+    found = recovery.info["recognised"]
+    if not found["expected"]:
+        print(f"l2p: {found['sentence']} {NOT_STATED}", file=sys.stderr)
+
+
 def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments: Namespace) -> None:
     """Write the recovery, filtered, and its figures."""
     recovery = _filtered(recovery, arguments.min_confidence, arguments.clean)
@@ -102,7 +112,7 @@ def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments:
     stats = {
         "lines": len(recovery),
         "kept": kept,
-        "median_confidence": float(np.median(recovery.confidence)),
+        "median_confidence": float(np.median(recovery.confidence)) if recovery.calibrated else None,
         **recovery.info,
     }
     with figures_file(arguments, stats):

@@ -132,7 +132,7 @@ def centres(cloud: Centred, rng: np.random.Generator) -> tuple[Float[np.ndarray,
         center = _centre(cloud.rows(left), rng)
         if center is None:
             break
-        through = left[_distance(cloud.rows(left), center) < THROUGH]
+        through = left[distance(cloud.rows(left), center) < THROUGH]
         if len(through) < least:
             break
         family[through] = len(found)
@@ -158,7 +158,7 @@ def _centre(cloud: Centred, rng: np.random.Generator) -> np.ndarray | None:
     count = (np.linalg.norm(apart, axis=2) < THROUGH).sum(axis=1)
     center = tried[int(np.argmax(count))]
     for _ in range(3):
-        near = cloud.rows(_distance(cloud, center) < THROUGH)
+        near = cloud.rows(distance(cloud, center) < THROUGH)
         if len(near.direction) < 2:
             return None
         foot = np.cross(near.direction, near.moment - np.cross(center, near.direction))
@@ -178,24 +178,19 @@ def _meeting_points(first: Centred, second: Centred) -> Float[np.ndarray, "pairs
     return (ends[0] + ends[1]) / 2
 
 
-def _distance(cloud: Centred, point: Float[np.ndarray, "3"]) -> Float[np.ndarray, " lines"]:
+def distance(cloud: Centred, point: Float[np.ndarray, "3"]) -> Float[np.ndarray, " lines"]:
+    """Distance of a point from each line, in the units of the cloud."""
     return np.linalg.norm(np.cross(point, cloud.direction) - cloud.moment, axis=1)
 
 
-def with_parallel(direction: Float[np.ndarray, "lines 3"], rng: np.random.Generator) -> Bool[np.ndarray, " lines"]:
-    """Mark lines to which another is parallel, O(lines log lines)."""
-    return _with_equal(_tensor(direction), rng)
-
-
-def with_same(
-    cloud: Centred, parallel: Bool[np.ndarray, " lines"], rng: np.random.Generator
-) -> Bool[np.ndarray, " lines"]:
-    """Mark lines that are there more than once, of those to which another is ``parallel``."""
+def repeats(cloud: Centred, rng: np.random.Generator) -> Bool[np.ndarray, " lines"]:
+    """Mark lines that are the same as one that is not marked, O(lines log lines)."""
+    same = np.zeros(len(cloud.direction), dtype=bool)
+    parallel = np.flatnonzero(with_equal(tensors(cloud.direction), rng)[0])
     some = cloud.rows(parallel)
     # Far feet are compared relative to their distance.
     size = np.maximum(1.0, np.linalg.norm(some.moment, axis=1, keepdims=True))
-    same = np.zeros(len(parallel), dtype=bool)
-    same[parallel] = _with_equal(np.concatenate((_tensor(some.direction), some.foot / size, 1 / size), axis=1), rng)
+    same[parallel] = with_equal(np.concatenate((tensors(some.direction), some.foot / size, 1 / size), axis=1), rng)[1]
     return same
 
 
@@ -204,7 +199,7 @@ def bundles(direction: Float[np.ndarray, "lines 3"], rng: np.random.Generator) -
     sizes = []
     while len(direction) > 1 and len(sizes) < MOST_CENTRES:
         some = direction[sample(len(direction), _SAMPLE, rng)]
-        tensor = _tensor(some)
+        tensor = tensors(some)
         count = (np.abs(tensor @ tensor.T - 1) < SAME**2).sum(axis=1)
         axis = some[int(np.argmax(count))]
         alike = np.linalg.norm(np.cross(axis, direction), axis=1) < SAME
@@ -220,21 +215,26 @@ def sample(count: int, most: int, rng: np.random.Generator) -> Int[np.ndarray, "
     return np.arange(count) if count <= most else np.sort(rng.choice(count, most, replace=False))
 
 
-def _tensor(direction: Float[np.ndarray, "lines 3"]) -> Float[np.ndarray, "lines 6"]:
+def tensors(direction: Float[np.ndarray, "lines 3"]) -> Float[np.ndarray, "lines 6"]:
     """The six different numbers of d d^T, scaled to length 1: the same for a direction and its opposite."""
     first, second = np.triu_indices(3)
     return direction[:, first] * direction[:, second] * np.where(first == second, 1.0, np.sqrt(2.0))
 
 
-def _with_equal(value: Float[np.ndarray, "lines numbers"], rng: np.random.Generator) -> Bool[np.ndarray, " lines"]:
-    """Mark rows that equal another up to ``SAME``: equal rows are neighbours in the order of a random projection."""
-    marked = np.zeros(len(value), dtype=bool)
+def with_equal(
+    value: Float[np.ndarray, "lines numbers"], rng: np.random.Generator
+) -> tuple[Bool[np.ndarray, " lines"], Bool[np.ndarray, " lines"]]:
+    """Mark rows that equal another up to ``SAME``, and of these all but the first of each group of equal rows.
+
+    Equal rows are neighbours in the order of a random projection.
+    """
+    equal, further = np.zeros((2, len(value)), dtype=bool)
     order = np.argsort(value @ rng.normal(size=value.shape[1]), kind="stable")
     columns = np.ascontiguousarray(value[order].T)
     # Rounding lets a few other rows of a large cloud come between two equal ones.
     for step in range(1, 6):
-        equal = np.arange(len(value) - step)
+        row = np.arange(len(value) - step)
         for column in columns:
-            equal = equal[np.abs(column[equal + step] - column[equal]) < SAME]
-        marked[order[equal]] = marked[order[equal + step]] = True
-    return marked
+            row = row[np.abs(column[row + step] - column[row]) < SAME]
+        equal[order[row]] = equal[order[row + step]] = further[order[row + step]] = True
+    return equal, further

@@ -8,9 +8,10 @@ centres, at 0 % and with a confidence of 80 % (``docs/recognition.md``). So the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from l2p.errors import InputError
 from l2p.maps.lines import LineCloud
@@ -29,11 +30,15 @@ PAIRS = "pairs"
 DECLARED = "declared scheme"
 
 UNKNOWN = "unknown"
+#: Added to the sentence where a recovery is reported.
+NOT_STATED = "So its confidence ranks the points and is no probability: that was calibrated on uniform lines."
 #: Fewer lines than this are called few: only gross departures from uniform lines show.
 FEW = 100
 #: Directions are not uniform beyond this value of S, which uniform directions exceed once in a million clouds: the
 #: 1 - 1e-6 quantile of chi-squared with 5 degrees of freedom.
 _LARGEST_S = 35.9
+#: Median distance from the best centre, as a share of its own from the origin, that may be rounding in single precision.
+_SINGLE = 2e-7
 #: Least share of the lines that are the same as, or parallel to, another: a few do no harm.
 _LEAST_REPEATED = 0.01
 #: Share of the lines in centres, or in bundles, from which the sentence speaks of all lines.
@@ -75,6 +80,10 @@ class Recognition:
     family: Int[np.ndarray, " lines"] | None
     expected: bool
 
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, without the centres: an entry of ``Recovery.info``."""
+        return {"kind": self.kind, "sentence": self.sentence, "scheme": self.scheme, "expected": self.expected}
+
 
 def recognise(lines: LineCloud) -> Recognition:
     """Recognise how the lines of a cloud were drawn.
@@ -87,8 +96,8 @@ def recognise(lines: LineCloud) -> Recognition:
     Returns
     -------
     Recognition
-        The first of these that the lines show: repeated lines, parallel bundles or few directions, one or a few
-        centres, directions that are not uniform (or pairs, if the file says so), several releases; otherwise uniform,
+        The first of these that the lines show: parallel bundles or few directions, one or a few centres, repeated
+        lines, directions that are not uniform (or pairs, if the file says so), several releases; otherwise uniform,
         or, of fewer than ``FEW`` lines, few lines.
 
     Raises
@@ -120,13 +129,17 @@ def recognise(lines: LineCloud) -> Recognition:
         raise InputError("got a line cloud without lines; expected at least one line")
     rng = np.random.default_rng(0x5EE)
     cloud = meeting.centred(lines.direction, lines.moment, rng)
-    repeated, centred = _repeated(cloud, rng), None
-    if repeated is None or repeated.kind == REPEATED:
-        centred = _centred(cloud, rng)
-    if centred is not None and centred.scheme != UNKNOWN and _various(lines):
-        # Points that a map has twice give the same ray twice.
-        repeated = None
-    found = repeated or centred or _directed(lines) or _released(cloud, rng) or _unsuspected(lines)
+    repeated = meeting.repeats(cloud, rng)
+    distinct = cloud.rows(~repeated)
+    found = (
+        _bundled(distinct, len(lines), rng)
+        or _centred(cloud, ~repeated, rng)
+        or _repeated(repeated)
+        or _partly_parallel(cloud, rng)
+        or _directed(lines, cloud)
+        or _released(cloud, rng)
+        or _unsuspected(lines)
+    )
     return _beside_the_file(found, lines)
 
 
@@ -136,45 +149,57 @@ def direction_statistic(direction: Float[np.ndarray, "lines 3"]) -> float:
     return float(7.5 * len(direction) * (np.sum(tensor**2) - 1 / 3))
 
 
-def _various(lines: LineCloud) -> bool:
-    """Whether most of the directions differ: then what they have in common is not one line."""
-    rounded = np.round(lines.direction * np.where(lines.direction[:, 2:] < 0, -1, 1), 9)
-    return len(np.unique(rounded, axis=0)) > len(lines) / 2
-
-
 def _plain(kind: str, sentence: str, scheme: str = UNKNOWN, *, expected: bool = False) -> Recognition:
     """Recognition without centres."""
     return Recognition(kind, sentence, scheme, np.zeros((0, 3)), None, expected)
 
 
-def _repeated(cloud: meeting.Centred, rng: np.random.Generator) -> Recognition | None:
-    """Lines that are the same as, or parallel to, another."""
-    with_parallel, count = meeting.with_parallel(cloud.direction, rng), len(cloud.direction)
-    parallel = int(with_parallel.sum())
-    if parallel < max(2, _LEAST_REPEATED * count):
+def _bundled(distinct: meeting.Centred, count: int, rng: np.random.Generator) -> Recognition | None:
+    """Nearly all lines, repeated ones counted once, in a few bundles of parallel lines."""
+    parallel = meeting.with_equal(meeting.tensors(distinct.direction), rng)[0].sum()
+    if parallel < max(2, _NEARLY_ALL * len(distinct.direction)):
         return None
-    same = int(meeting.with_same(cloud, with_parallel, rng).sum())
-    if same >= max(2, _LEAST_REPEATED * count):
-        return _plain(REPEATED, f"{_of(same, count)} lines are in the file more than once.")
-    sizes = meeting.bundles(cloud.direction, rng)
-    if sizes.sum() < _NEARLY_ALL * count:
-        return _plain(PARALLEL, f"{_of(parallel, count)} lines are parallel to another.")
-    inside = _of(int(sizes.sum()), count)
+    sizes = meeting.bundles(distinct.direction, rng)
+    if sizes.sum() < _NEARLY_ALL * len(distinct.direction):
+        return None
+    inside = _of(count - len(distinct.direction) + int(sizes.sum()), count)
     if len(sizes) == 1:
         return _plain(PARALLEL, f"{inside} lines are parallel.")
     return _plain(FEW_DIRECTIONS, f"{inside} lines have one of {len(sizes)} directions.")
 
 
-def _centred(cloud: meeting.Centred, rng: np.random.Generator) -> Recognition | None:
-    count = len(cloud.direction)
-    if cloud.unit:
-        points, family = meeting.centres(cloud, rng)
-    else:
-        points, family = cloud.place[None], np.zeros(count, dtype=np.int64)
-    # Two lines have a meeting point by themselves.
-    through = int((family >= 0).sum())
-    if len(points) == 0 or count < 3:
+def _repeated(repeated: Bool[np.ndarray, " lines"]) -> Recognition | None:
+    """Lines that are in the file more than once."""
+    again, count = int(repeated.sum()), len(repeated)
+    if again < max(1, _LEAST_REPEATED * count):
         return None
+    return _plain(REPEATED, f"{_of(again, count)} lines repeat another line of the file.")
+
+
+def _partly_parallel(cloud: meeting.Centred, rng: np.random.Generator) -> Recognition | None:
+    """Lines that are parallel to another, though not all of them are."""
+    parallel, count = int(meeting.with_equal(meeting.tensors(cloud.direction), rng)[0].sum()), len(cloud.direction)
+    if parallel < max(2, _LEAST_REPEATED * count):
+        return None
+    return _plain(PARALLEL, f"{_of(parallel, count)} lines are parallel to another.")
+
+
+def _centred(
+    cloud: meeting.Centred, distinct: Bool[np.ndarray, " lines"], rng: np.random.Generator
+) -> Recognition | None:
+    """One or a few points through which many different lines pass."""
+    count, family = len(distinct), np.full(len(distinct), -1)
+    if distinct.sum() < 3:  # Two lines have a meeting point by themselves.
+        return None
+    if cloud.unit:
+        points, family[distinct] = meeting.centres(cloud.rows(distinct), rng)
+    else:
+        points, family[distinct] = cloud.place[None], 0
+    if len(points) == 0:
+        return None
+    for number, point in enumerate((points - cloud.place) / (cloud.unit or 1.0)):
+        family[~distinct & (family < 0) & (meeting.distance(cloud, point) < meeting.THROUGH)] = number
+    through = int((family >= 0).sum())
     where = "one point" if len(points) == 1 else f"one of {len(points)} points"
     sentence = f"{_of(through, count)} lines pass through {where}."
     scheme = UNKNOWN if through < _NEARLY_ALL * count else "sphere" if len(points) == 1 else "rays"
@@ -182,9 +207,14 @@ def _centred(cloud: meeting.Centred, rng: np.random.Generator) -> Recognition | 
     return Recognition(kind, sentence, scheme, points, family, expected=False)
 
 
-def _directed(lines: LineCloud) -> Recognition | None:
+def _directed(lines: LineCloud, cloud: meeting.Centred) -> Recognition | None:
+    """Directions that are not uniform."""
     if direction_statistic(lines.direction) <= _LARGEST_S:
         return None
+    if cloud.unit <= _SINGLE * np.linalg.norm(cloud.place):
+        family = np.zeros(len(lines), dtype=np.int64)
+        sentence = f"The {_number(len(lines))} lines pass through one point, up to single precision."
+        return Recognition(ONE_CENTRE, sentence, "sphere", cloud.place[None], family, expected=False)
     if _pairs(lines):
         return _of_pairs(lines)
     count = _number(len(lines))

@@ -24,6 +24,7 @@ from l2p.io.scene_files import load_scene, load_truth
 from l2p.judging.measure import Form, figures
 from l2p.judging.scores import Scores
 from l2p.maps.appearance import Appearance
+from l2p.schemes.recognition import recognise
 from l2p.utility.localization import Localization
 
 if TYPE_CHECKING:
@@ -131,7 +132,14 @@ def _describe_lines(path: str | PathLike[str]) -> list[tuple[str, str]]:
     known = _describe_appearance(cloud.appearance)
     names = " and ".join(word for word, value in known if value != "no")
     gives = f"the lines; an attacker also uses the {names}" if names else "the lines alone"
-    return [("lines", str(len(cloud))), ("scheme", cloud.scheme), *known, ("gives away", gives)]
+    recognised = recognise(cloud).sentence
+    return [
+        ("lines", str(len(cloud))),
+        ("scheme", cloud.scheme),
+        ("recognised", recognised),
+        *known,
+        ("gives away", gives),
+    ]
 
 
 def _describe_scene(path: str | PathLike[str]) -> list[tuple[str, str]]:
@@ -172,10 +180,21 @@ def _describe_recovery(path: str | PathLike[str]) -> list[tuple[str, str]]:
         ("kept", str(len(recovery) if recovery.kept is None else int(recovery.kept.sum()))),
         ("method", str(recovery.info.get("method", "unknown"))),
         *_checkpoint_of(recovery.info.get("settings")),
-        ("confidence (quartiles)", f"{low:.2f} {middle:.2f} {high:.2f}"),
+        *_recognised(recovery.info.get("recognised")),
+        (
+            f"confidence{'' if recovery.calibrated else ', ranks only'} (quartiles)",
+            f"{low:.2f} {middle:.2f} {high:.2f}",
+        ),
         *_extent(recovery.xyz),
         ("colours", _yes(recovery.rgb)),
     ]
+
+
+def _recognised(found: Any) -> list[tuple[str, str]]:
+    """What the lines of a recovery were recognised as, if its file says it."""
+    if not isinstance(found, dict) or "sentence" not in found:
+        return []
+    return [("lines recognised", str(found["sentence"]))]
 
 
 def _checkpoint_of(settings: Any) -> list[tuple[str, str]]:
