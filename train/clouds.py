@@ -125,8 +125,8 @@ def lifted(
         descriptor_kind=None if descriptor is None else UNKNOWN_KIND if source.unknown else scene.descriptor_kind,
     )
     frame, recognition = Frame.of(hidden.map), recognise(hidden.map)
-    lines, row = expanded(hidden.map, recognition)
-    truth, structure = _behind(hidden, row), structure_of(lines, recognition, frame, device)
+    lines, row = expanded(hidden.map, source.scheme)
+    truth, structure = _behind(hidden, row), structure_of(lines, source.scheme, recognition, frame, device)
     inside = frame.enter(lines, device)
     near = nearest_neighbors(truth, TRUE_NEIGHBORS, workers=torch.get_num_threads()).distance[:, -1]
     point = frame.enter_points(truth, device)

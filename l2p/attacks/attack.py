@@ -25,6 +25,7 @@ from l2p.attacks.structure import NO_STRUCTURE, Structure
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.maps.appearance import NO_APPEARANCE, Appearance
+from l2p.schemes.scheme import DEFAULT_SCHEME
 from l2p.work.work import Work
 
 
@@ -116,12 +117,23 @@ class Attack:
         Bytes held per line, without the temporaries of blocks; None: memory is not bounded.
     columns : mapping
         Name of each tensor that is saved after a round, with its shape per line.
+    schemes : tuple of str
+        Schemes whose structure the attack uses (:mod:`l2p.attacks.structured`); lines of others are attacked as if
+        they were uniform.
+    scheme : str
+        Scheme that its confidence was calibrated on.
     """
 
     rounds: int = 0
     calibrated: bool = False
     line_bytes: float | None = None
     columns: Mapping[str, tuple[int, ...]] = {}
+    schemes: tuple[str, ...] = (DEFAULT_SCHEME,)
+    scheme: str = DEFAULT_SCHEME
+
+    def for_scheme(self, scheme: str) -> Attack:
+        """Return the attack on lines of one of ``schemes``; the same one by default."""
+        return self
 
     def uses(self, appearance: Appearance) -> tuple[str, ...]:
         """Return the names of the published attributes that the attack uses: none, if it uses geometry alone."""

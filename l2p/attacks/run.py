@@ -17,12 +17,15 @@ from torch import Tensor
 from l2p.attacks.attack import Attack, Elements, Estimate, locate
 from l2p.attacks.named import named_attack
 from l2p.attacks.settings import DEFAULT_METHOD
+from l2p.attacks.structure import Structure
+from l2p.attacks.structured import expanded, structure_of
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.schemes.recognition import recognise
+from l2p.schemes.scheme import DEFAULT_SCHEME
 from l2p.version import __version__
 from l2p.work.memory import allotted
 from l2p.work.progress import NO_PROGRESS, Progress
@@ -119,16 +122,19 @@ def run(
     began = time.perf_counter()
     work.shards.check(len(lines))
     work.journal.begin(_about(lines, attack, name))
-    frame = Frame.of(lines)
+    frame, recognised = Frame.of(lines), recognise(lines)
+    known = recognised.scheme if recognised.scheme in attack.schemes else DEFAULT_SCHEME
+    single, line = expanded(lines, known)
+    attack = attack.for_scheme(known)
     with torch.inference_mode():
-        elements = Elements.sorted(frame.enter(lines, where), frame, lines.appearance)
+        structure = structure_of(single, known, recognised, frame, where)
+        elements = Elements.sorted(frame.enter(single, where), frame, single.appearance, structure)
         _check_same(work.shards, attack, where)
-        _send(elements, work.shards)
+        _send(elements, known, work.shards)
         estimate = _in_map_order(_collected(locate(attack, elements, work), len(elements), work), elements.row)
-    element = np.arange(len(lines)) if estimate.element is None else estimate.element.cpu().numpy()
-    placed = lines if estimate.element is None else lines.rows(element)
+    own = np.arange(len(single)) if estimate.element is None else estimate.element.cpu().numpy()
+    placed = single if estimate.element is None else single.rows(own)
     beta = frame.leave(placed, estimate.beta)
-    recognised = recognise(lines)
     info = {
         "method": name or type(attack).__name__,
         "settings": attack.settings(),
@@ -145,9 +151,9 @@ def run(
         neighbors=estimate.neighbors.cpu().numpy().astype(np.int64),
         affinity=estimate.affinity.float().cpu().numpy(),
         info=info,
-        # The calibration was made on uniform lines, and says nothing about others.
-        calibrated=attack.calibrated and recognised.expected,
-        element=element,
+        # A calibration says nothing about lines of another scheme.
+        calibrated=attack.calibrated and known == attack.scheme and (recognised.expected or known != DEFAULT_SCHEME),
+        element=line[own],
     )
 
 
@@ -162,7 +168,8 @@ def assist(attack: Attack, shards: Shards, *, device: str = "cpu", memory: float
     where, work = usable_device(device), Work(shards)
     with torch.inference_mode():
         _check_same(shards, attack, where)
-        elements = _received(shards, where)
+        elements, known = _received(shards, where)
+        attack = attack.for_scheme(known)
         work = replace(work, room=_room(attack, where, memory, len(elements), work))
         _collected(locate(attack, elements, work), len(elements), work)
 
@@ -220,24 +227,27 @@ def _check_same(shards: Shards, attack: Attack, where: torch.device) -> None:
         )
 
 
-def _send(elements: Elements, shards: Shards) -> None:
-    """Send the lines of rank 0 to the other ranks, equal to the bit."""
+def _send(elements: Elements, scheme: str, shards: Shards) -> None:
+    """Send the lines of rank 0 to the other ranks, equal to the bit, and the scheme that they are attacked as."""
     if shards.processes == 1:
         return
     shapes = {name: list(value.shape[1:]) for name, value in elements.attributes.items()}
+    relations = {name: value for name, value in elements.structure._asdict().items() if value is not None}
     header = {
         "lines": len(elements),
         "frame": elements.frame.as_dict(),
         "attributes": shapes,
         "kind": elements.descriptor_kind,
+        "scheme": scheme,
+        "structure": {name: list(value.shape) for name, value in relations.items()},
     }
     shards.first_json(header, elements.row.device)
-    for tensor in (*elements.lines, elements.row, *elements.attributes.values()):
+    for tensor in (*elements.lines, elements.row, *elements.attributes.values(), *relations.values()):
         shards.first(tensor)
 
 
-def _received(shards: Shards, where: torch.device) -> Elements:
-    """Receive the lines of rank 0."""
+def _received(shards: Shards, where: torch.device) -> tuple[Elements, str]:
+    """Receive the lines of rank 0, and their scheme."""
     header = shards.first_json(None, where)
     count = header["lines"]
     direction, moment = (shards.first(torch.empty(count, 3, device=where)) for _ in range(2))
@@ -245,7 +255,13 @@ def _received(shards: Shards, where: torch.device) -> Elements:
     attributes = {
         name: shards.first(torch.empty(count, *shape, device=where)) for name, shape in header["attributes"].items()
     }
-    return Elements(Lines(direction, moment), row, Frame.from_dict(header["frame"]), attributes, header["kind"])
+    relations = {
+        name: torch.empty(shape, device=where, dtype=torch.float32 if name == "center" else torch.int64)
+        for name, shape in header["structure"].items()
+    }
+    structure = Structure(**{name: shards.first(value) for name, value in relations.items()})
+    frame = Frame.from_dict(header["frame"])
+    return Elements(Lines(direction, moment), row, frame, attributes, header["kind"], structure), header["scheme"]
 
 
 def usable_device(name: str) -> torch.device:

@@ -13,9 +13,13 @@ from l2p.geometry.frame import Frame
 from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
 from l2p.schemes.recognition import Recognition
+from l2p.schemes.scheme import DEFAULT_SCHEME
+
+#: Schemes that attacks with a structure know, besides independent lines.
+STRUCTURED = (DEFAULT_SCHEME, "ppl", "rays")
 
 
-def expanded(lines: LineCloud, recognition: Recognition) -> tuple[LineCloud, Int[np.ndarray, " elements"]]:
+def expanded(lines: LineCloud, scheme: str) -> tuple[LineCloud, Int[np.ndarray, " elements"]]:
     """One line for each point: lines through pairs come twice, with the appearance of one point each.
 
     Returns
@@ -25,7 +29,7 @@ def expanded(lines: LineCloud, recognition: Recognition) -> tuple[LineCloud, Int
     (elements,) int64
         Row of each in ``lines``.
     """
-    if recognition.scheme != "ppl":
+    if scheme != "ppl":
         return lines, np.arange(len(lines))
     row = np.repeat(np.arange(len(lines)), 2)
     twice = replace(lines, second=None).rows(row)
@@ -36,12 +40,16 @@ def expanded(lines: LineCloud, recognition: Recognition) -> tuple[LineCloud, Int
 
 
 def structure_of(
-    lines: LineCloud, recognition: Recognition, frame: Frame, device: torch.device | str = "cpu"
+    lines: LineCloud,
+    scheme: str,
+    recognition: Recognition,
+    frame: Frame,
+    device: torch.device | str = "cpu",
 ) -> Structure:
-    """Structure of the expanded lines of a recognised scheme."""
-    if recognition.scheme == "ppl":
+    """Structure of the expanded lines of a scheme; ``recognition`` has the centres of ``rays``."""
+    if scheme == "ppl":
         return Structure(twin=torch.arange(len(lines), device=device) ^ 1)
-    if recognition.scheme != "rays":
+    if scheme != "rays":
         return NO_STRUCTURE
     center = frame.enter_points(recognition.centers, device)
     return Structure(family=torch.as_tensor(_nearest_center(lines, recognition), device=device), center=center)

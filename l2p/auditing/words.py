@@ -49,7 +49,9 @@ def unexpected(audit: Audit) -> str:
     found = audit.recognised
     if found["expected"]:
         return ""
-    return f"No probability is stated, because the attack was calibrated on uniform lines only. {found['sentence']}"
+    if audit.calibrated:
+        return found["sentence"]
+    return f"No probability is stated, because the attack was not calibrated on such lines. {found['sentence']}"
 
 
 def _knowledge(within: float, half: float) -> str:

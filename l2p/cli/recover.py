@@ -102,7 +102,7 @@ def _warn_of_lines(recovery: Recovery) -> None:
     """Say on stderr what the lines were recognised as, unless they are uniform."""
     found = recovery.info["recognised"]
     if not found["expected"]:
-        print(f"l2p: {found['sentence']} {NOT_STATED}", file=sys.stderr)
+        print(" ".join(["l2p:", found["sentence"], *([] if recovery.calibrated else [NOT_STATED])]), file=sys.stderr)
 
 
 def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments: Namespace) -> None:

@@ -8,7 +8,7 @@ one network, which was trained on the estimates of all of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
@@ -39,12 +39,14 @@ from l2p.attacks.learned.nodes import Estimates, Nodes, described, neighborhood,
 from l2p.attacks.learned.pairing import assigned, nearest_allowed
 from l2p.attacks.learned.teaching import taught
 from l2p.attacks.peak import find_peak, settled
+from l2p.attacks.structured import STRUCTURED
 from l2p.attacks.tomography.posterior import Posterior, mass_within, modes
 from l2p.attacks.tomography.reconstruct import LINE_BYTES as TOMOGRAPHY_BYTES
 from l2p.attacks.tomography.reconstruct import reconstruct
 from l2p.attacks.votes import equal_weights
 from l2p.errors import InputError
 from l2p.maps.appearance import ATTRIBUTES, Appearance
+from l2p.schemes.scheme import DEFAULT_SCHEME
 from l2p.work.shards import BLOCK
 from l2p.work.work import ALONE, Work
 
@@ -76,6 +78,8 @@ class State(NamedTuple):
 class Learned(Attack):
     """The learned attack; O(rounds x lines x k^2) besides tomography and the searches.
 
+    It knows what lines through pairs of points and lines through a few centres tell (:mod:`l2p.attacks.structure`).
+
     Parameters
     ----------
     network : LineTransformer
@@ -90,12 +94,18 @@ class Learned(Attack):
         Families of inputs with the constants of the training; default: the default constants.
     source : dict, optional
         Name and digest of the file of the weights, for the record.
+    scheme : str
+        Scheme of the lines that the weights were trained on.
+    siblings : callable, optional
+        Returns the attack with the weights for another scheme; default: these weights serve all schemes.
 
     Raises
     ------
     InputError
         If a knowledge is not calibrated, or has fewer calibrations than rounds.
     """
+
+    schemes = STRUCTURED
 
     def __init__(
         self,
@@ -105,6 +115,8 @@ class Learned(Attack):
         fraction: float = 1.0,
         inputs: Sequence[Inputs] | None = None,
         source: dict[str, str] | None = None,
+        scheme: str = DEFAULT_SCHEME,
+        siblings: Callable[[str], Learned] | None = None,
     ) -> None:
         self.network = network
         self.config = config or LearnedConfig()
@@ -117,11 +129,16 @@ class Learned(Attack):
             if count < wanted:
                 raise InputError(f"got {count} calibrations of {known} for {wanted} rounds; expected as many")
         self.fraction, self.source = fraction, source or {}
+        self.scheme, self.siblings = scheme, siblings
         # Without rounds, the confidence comes from the tomography and only ranks.
         self.calibrated = self.config.rounds > 0
         self.columns = {"beta": (), "confidence": (), "state": (network.config.state,)}
         # Measured by benchmarks/recover.py.
         self.line_bytes = max(TOMOGRAPHY_BYTES, 4000 + 40 * self.config.candidates)
+
+    def for_scheme(self, scheme: str) -> Learned:
+        """Return the attack with the weights for this scheme."""
+        return self if self.siblings is None or scheme == self.scheme else self.siblings(scheme)
 
     def rounds_of(self, elements: Elements) -> int:
         """Return the rounds but the last, which is in ``finish``: its estimates need no nodes."""
