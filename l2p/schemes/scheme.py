@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 DEFAULT_SCHEME = "uniform"
 
 #: Schemes by name: ``module:class``, loaded on use, so that ``l2p --help`` does not wait for NumPy.
-SCHEMES = {DEFAULT_SCHEME: "l2p.schemes.uniform:Uniform", "ppl": "tmp_schemes:Ppl", "rays": "tmp_schemes:Rays"}
+SCHEMES = {DEFAULT_SCHEME: "l2p.schemes.uniform:Uniform"}
 
 
 @runtime_checkable

@@ -40,7 +40,7 @@ from l2p.attacks.learned.pairing import assigned, nearest_allowed
 from l2p.attacks.learned.teaching import taught
 from l2p.attacks.peak import find_peak, settled
 from l2p.attacks.structured import STRUCTURED
-from l2p.attacks.tomography.posterior import Posterior, mass_within, modes
+from l2p.attacks.tomography.posterior import Posterior, first_places, mass_within
 from l2p.attacks.tomography.reconstruct import LINE_BYTES as TOMOGRAPHY_BYTES
 from l2p.attacks.tomography.reconstruct import reconstruct
 from l2p.attacks.votes import equal_weights
@@ -252,7 +252,7 @@ class Learned(Attack):
     def first_nodes(self, elements: Elements, posterior: Posterior, work: Work = ALONE) -> Nodes:
         """Build the nodes of the first round from the modes of the posterior."""
         lines, count = elements.lines, len(elements)
-        mode = modes(posterior)[0] if posterior.pair is None else _first_of(posterior.pair, elements, work)
+        mode = first_places(posterior, elements.structure.twin, work.own(count))
         beta = work.gather(mode, count)
         if elements.structure.twin is not None:
             beta = self._assigned(elements, Estimates(beta, beta, beta[:, None])).beta
@@ -334,13 +334,6 @@ class Learned(Attack):
         logit = (calibration[:, 0] * result.found + calibration[:, 1]).cummax(dim=1).values
         log_radius = math.log(spacing_ratio(self.fraction, self.config.dimension))
         return torch.sigmoid(between_radii(logit, self.network.config.radii, log_radius))
-
-
-def _first_of(pair: Float[Tensor, "own 2"], elements: Elements, work: Work) -> Float[Tensor, " own"]:
-    """One of the two modes of each line: another one for each of its two points."""
-    row, twin = torch.arange(len(elements), device=pair.device), elements.structure.twin
-    assert twin is not None
-    return torch.where((row < twin)[work.own(len(elements))], pair[:, 0], pair[:, 1])
 
 
 def rounds_with(config: LearnedConfig, known: str) -> int:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
+from l2p.attacks.families import other_points_near_lines
 from l2p.attacks.learned.embedding import Appearances
 from l2p.attacks.learned.nodes import Estimates, Nodes
 from l2p.attacks.structure import Structure
@@ -13,7 +14,6 @@ from l2p.geometry.elements import Lines, picked
 from l2p.geometry.nearest import (
     Nearest,
     nearest_points_to_lines,
-    nearest_points_to_other_lines,
     nearest_points_to_points,
 )
 from l2p.work.work import Work
@@ -32,7 +32,7 @@ def nearest_allowed(lines: Lines, nodes: Nodes, k: int, structure: Structure, wo
     """
     scale = nodes.scale.sqrt()
     if structure.family is not None:
-        return _of_other_families(lines, nodes.point, k, scale, structure.family, structure.families, work)
+        return other_points_near_lines(lines, nodes.point, k, scale, structure.family, work)
     if structure.twin is None:
         return nearest_points_to_lines(lines, nodes.point, k, scale=scale, work=work)
     near = nearest_points_to_lines(lines, nodes.point, 2 * k + 1, scale=scale, work=work)
@@ -88,27 +88,3 @@ def assigned(lines: Lines, estimates: Estimates, twin: Int[Tensor, " lines"], ap
         holds = torch.where(turn & (gain + gain[twin] > 0), holds[twin], holds)
     found = holds.argsort()
     return Estimates(*(column[found] for column in estimates))
-
-
-def _of_other_families(
-    lines: Lines,
-    points: Float[Tensor, "lines 3"],
-    k: int,
-    scale: Float[Tensor, " lines"],
-    family: Int[Tensor, " lines"],
-    families: int,
-    work: Work,
-) -> Nearest:
-    own = work.own(len(points))
-    index = torch.full((own.stop - own.start, k), -1, dtype=torch.int32, device=points.device)
-    distance = points.new_full(index.shape, torch.inf)
-    for number in range(families):
-        rows = torch.nonzero(family[own] == number).flatten()
-        others = torch.nonzero(family != number).flatten()
-        if not len(rows) or not len(others):
-            continue
-        near = nearest_points_to_other_lines(lines.rows(own).rows(rows), points[others], k, scale=scale[others])
-        width = near.index.shape[1]
-        found = others[near.index.clamp_min(0).long()].int().masked_fill(near.index < 0, -1)
-        index[rows, :width], distance[rows, :width] = found, near.distance
-    return Nearest(index, distance)

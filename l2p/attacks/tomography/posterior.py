@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 
@@ -35,6 +35,17 @@ def modes(posterior: Posterior) -> tuple[Float[Tensor, " lines"], Float[Tensor, 
     equal &= apart <= 1.5 * posterior.step[:, None]
     beta = (posterior.beta * equal).sum(dim=1) / equal.sum(dim=1)
     return beta.masked_fill(probability == 0, 0), probability
+
+
+def first_places(posterior: Posterior, twin: Int[Tensor, " elements"] | None, own: slice) -> Float[Tensor, " own"]:
+    """Return the mode of each line of this process; of a pair, one of its two places for each of its points.
+
+    ``twin`` is the other point on the line of each element, ``own`` the elements of this process.
+    """
+    if posterior.pair is None or twin is None:
+        return modes(posterior)[0]
+    first = (torch.arange(len(twin), device=twin.device) < twin)[own]
+    return torch.where(first, posterior.pair[:, 0], posterior.pair[:, 1])
 
 
 def mass_within(
