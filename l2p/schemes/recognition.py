@@ -37,7 +37,7 @@ FEW = 100
 #: Directions are not uniform beyond this value of S, which uniform directions exceed once in a million clouds: the
 #: 1 - 1e-6 quantile of chi-squared with 5 degrees of freedom.
 _LARGEST_S = 35.9
-#: Median distance from the best centre, as a share of its own from the origin, that may be rounding in single precision.
+#: Median distance of lines from a place, by that of the place from the origin, that may be rounding in single precision.
 _SINGLE = 2e-7
 #: Least share of the lines that are the same as, or parallel to, another: a few do no harm.
 _LEAST_REPEATED = 0.01

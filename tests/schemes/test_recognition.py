@@ -24,7 +24,8 @@ def directions(count: int, rng: Rng) -> np.ndarray:
 
 
 def joined(*clouds: LineCloud) -> LineCloud:
-    return LineCloud(*(np.concatenate([getattr(each, name) for each in clouds]) for name in ("direction", "moment")))
+    direction, moment = ([getattr(each, name) for each in clouds] for name in ("direction", "moment"))
+    return LineCloud(np.concatenate(direction), np.concatenate(moment))
 
 
 def uniform(points: np.ndarray, rng: Rng) -> LineCloud:
