@@ -17,7 +17,23 @@ if TYPE_CHECKING:
 DEFAULT_SCHEME = "uniform"
 
 #: Schemes by name: ``module:class``, loaded on use, so that ``l2p --help`` does not wait for NumPy.
-SCHEMES = {DEFAULT_SCHEME: "l2p.schemes.uniform:Uniform"}
+SCHEMES = {
+    DEFAULT_SCHEME: "l2p.schemes.uniform:Uniform",
+    "ppl": "l2p.schemes.ppl:Ppl",
+    "ppl+": "l2p.schemes.ppl_plus:PplPlus",
+    "ppl+published": "l2p.schemes.ppl_plus:PplPlusPublished",
+    "rays": "l2p.schemes.rays:Rays",
+    "rays-voxel": "l2p.schemes.rays_voxel:RaysVoxel",
+    "half-space": "l2p.schemes.half_space:HalfSpace",
+    "sphere": "l2p.schemes.sphere:Sphere",
+    "sphere-50": "l2p.schemes.sphere:Sphere50",
+    "sphere-33": "l2p.schemes.sphere:Sphere33",
+    "sphere-25": "l2p.schemes.sphere:Sphere25",
+    "planes": "l2p.schemes.parallel_planes:Planes",
+    "planes-pooled": "l2p.schemes.parallel_planes:PlanesPooled",
+    "planes-random": "l2p.schemes.random_planes:RandomPlanes",
+    "permuted": "l2p.schemes.swapped:Permuted",
+}
 
 
 @runtime_checkable
