@@ -20,6 +20,7 @@ from eval.figures import draw_figures
 from eval.localization_table import localization_tables
 from eval.parallel import outcomes
 from eval.result_tables import Image, Table, document, print_tables, tables, updated
+from eval.scheme_table import scheme_tables
 from eval.scoring import Row, score, write_results
 from eval.side_by_side import check_pictures, draw_pictures
 from eval.targets import References, target_table
@@ -115,7 +116,8 @@ def _show(rows: list[Row], cells: Sequence[Cell], store: Store, settings: Settin
     targets = target_table(rows, references)
     if targets is not None:
         found.insert(1, targets)
-    found[-1:-1] = [*appearance_tables(rows, references), *localization_tables(rows)]  # before the scenes
+    # Before the scenes.
+    found[-1:-1] = [*appearance_tables(rows, references), *localization_tables(rows), *scheme_tables(rows)]
     print_tables(found)
     drawings = [*draw_figures(rows, references.knowing), *draw_pictures(cells, rows, store, settings.pictures)]
     places = [(store.folder / "results.md", "figures", "")]

@@ -139,6 +139,15 @@ class Outcome:
         return self.error / self.spacing
 
     @cached_property
+    def both(self) -> Bool[np.ndarray, " pairs"] | None:
+        """Mask of the lines with two points whose points are both within 1 spacing; None without such lines."""
+        element, count = np.unique(self.truth.element, return_counts=True)
+        if not (count == 2).any():
+            return None
+        wrong = np.isin(element, self.truth.element[~self.inside])
+        return ~wrong[count == 2]
+
+    @cached_property
     def right(self) -> Bool[np.ndarray, "lines k"] | None:
         """Mask of the true neighbours; None without neighbours, or if some line does not hide exactly one point."""
         if self.recovery.neighbors is None or not (self.recovery.one_each and self.truth.one_each):

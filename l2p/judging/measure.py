@@ -52,6 +52,7 @@ class Need(Enum):
     METRIC = auto()  # a scene in metres
     LOCALIZED = auto()  # cameras that were localized in the map
     NEIGHBORS = auto()  # the neighbours that an attack used, and lines that hide one point each
+    PAIRS = auto()  # lines that hide two points each
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,7 @@ def _met(outcome: Outcome) -> set[Need | None]:
         Need.METRIC: outcome.metric,
         Need.LOCALIZED: outcome.localization is not None,
         Need.NEIGHBORS: outcome.right is not None,
+        Need.PAIRS: outcome.both is not None,
     }
     return {need for need, met in needs.items() if met}
 
@@ -254,6 +256,18 @@ NEIGHBOURS = Measure(
 )
 
 
+def _pairs(outcome: Outcome) -> dict[str, Value]:
+    both = outcome.both
+    assert both is not None
+    return {"both_within_1": float(both.mean())}
+
+
+PAIRS = Measure(
+    (Figure("both_within_1", "both points of a line within 1 spacing", Form.SHARE, need=Need.PAIRS, page=False),),
+    _pairs,
+)
+
+
 def _localization(outcome: Outcome) -> dict[str, Value]:
     """Errors of the cameras in the hidden map and in its points; None where half of them were lost."""
     localization = outcome.localization
@@ -283,4 +297,4 @@ def _localized(what: str) -> tuple[Figure, ...]:
 LOCALIZATION = Measure((*_localized("lines"), *_localized("points")), _localization)
 
 #: Every measure, in the order of the tables.
-MEASURES: tuple[Measure, ...] = (ACCURACY, CONFIDENCE, NEIGHBOURS, LOCALIZATION)
+MEASURES: tuple[Measure, ...] = (ACCURACY, CONFIDENCE, NEIGHBOURS, PAIRS, LOCALIZATION)
