@@ -49,7 +49,7 @@ def unexpected(audit: Audit) -> str:
     found = audit.recognised
     if found["expected"]:
         return ""
-    return f"No probability is stated, because the attack was calibrated on uniform lines only. {found['sentence']}"
+    return f"{found['sentence']} No probability is stated, because attacks are calibrated on uniform lines only."
 
 
 def _knowledge(within: float, half: float) -> str:
