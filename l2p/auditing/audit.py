@@ -61,7 +61,8 @@ class Audit:
     points : int
         Number of points of the map, also of those left out; of lines, if a line cloud was given.
     spacing : float
-        Spacing of the whole map, scene units; estimated from the recovered points if a line cloud was given.
+        Spacing of the whole map, scene units; estimated from the recovered points if a line cloud was given, which
+        means little unless its lines are uniform.
     trials : tuple of Trial
         From the largest to the smallest fraction, and in each from the attacker who uses most to the one who sees lines
         alone.
@@ -261,7 +262,7 @@ def audit(
     if isinstance(scene, LineCloud):
         with _task(progress, [len(scene)], attackers) as advance:
             trials = _line_trials(scene, attackers, attack, advance)
-        scale = spacing(trials[0].recovery.xyz)
+        scale = _estimated_spacing(trials[0])
         return Audit(name, len(scene), scale, trials, method, None, metric, None, published.names, ignored)
     wanted = _fractions(FRACTIONS if fractions is None else fractions)
     if region is not None and (region.shape != (len(scene),) or not region.any()):
@@ -351,6 +352,16 @@ def _line_trials(
         trials.append(Trial(1.0, attacker, bare, recovery, None, lines.rgb, None, prediction, curves))
         advance(len(lines))
     return tuple(trials)
+
+
+def _estimated_spacing(trial: Trial) -> float:
+    """Spacing of the recovered points; of points that coincide, as of lines through one centre, the size of the map."""
+    try:
+        return spacing(trial.recovery.xyz)
+    except InputError:
+        if trial.recovery.info["recognised"]["expected"]:
+            raise
+        return float(np.ptp(trial.lines.origin, axis=0).max()) or 1.0
 
 
 def _attack(lines: LineCloud, fraction: float, *, method: str, settings: dict[str, Any], **where: Any) -> Recovery:

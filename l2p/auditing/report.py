@@ -275,6 +275,10 @@ def _predicted_table(audit: Audit) -> Table:
     heads = [Head("Lines"), Head("1 spacing, estimated")]
     rows = [[count(len(trial)), length(audit.spacing, audit.metric)] for trial in audit.trials]
     note = "The spacing is that of the recovered points, which is usually a little below that of the map."
+    if not audit.recognised["expected"]:
+        # Points that are wrong throughout, as all at one centre, have a spacing of their own.
+        heads, rows = heads[:1], [row[:1] for row in rows]
+        note = "On these lines, not even the spacing of the map can be estimated from the recovered points."
     if audit.calibrated:
         heads += [Head("Expected within 1 spacing", ("all points", "confident half"))]
         for row, trial in zip(rows, audit.trials, strict=True):

@@ -51,7 +51,7 @@ def unexpected(audit: Audit) -> str:
         return ""
     if audit.calibrated:
         return found["sentence"]
-    return f"No probability is stated, because the attack was not calibrated on such lines. {found['sentence']}"
+    return f"{found['sentence']} No probability is stated, because the attack was not calibrated on such lines."
 
 
 def _knowledge(within: float, half: float) -> str:

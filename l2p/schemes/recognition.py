@@ -31,13 +31,14 @@ DECLARED = "declared scheme"
 
 UNKNOWN = "unknown"
 #: Added to the sentence where a recovery is reported.
-NOT_STATED = "So its confidence ranks the points and is no probability: that was calibrated on uniform lines."
+NOT_STATED = "The confidence only ranks points: the attack was not calibrated on such lines, so no probability is stated."
 #: Fewer lines than this are called few: only gross departures from uniform lines show.
 FEW = 100
 #: Directions are not uniform beyond this value of S, which uniform directions exceed once in a million clouds: the
 #: 1 - 1e-6 quantile of chi-squared with 5 degrees of freedom.
 _LARGEST_S = 35.9
-#: Median distance of lines from a place, by that of the place from the origin, that may be rounding in single precision.
+#: Median distance of lines from a place, as a share of its own from the origin, that may be rounding to single
+#: precision.
 _SINGLE = 2e-7
 #: Least share of the lines that are the same as, or parallel to, another: a few do no harm.
 _LEAST_REPEATED = 0.01
