@@ -1,18 +1,19 @@
-"""Meetings: which line of another release passes through the same point, by geometry alone.
+"""Meetings: which line of another release passes through the same point.
 
 A map that is published twice, with fresh directions each time, has two lines through each point. They meet there up to
 the noise of the coordinates, while lines of different points meet that closely only by accident. Nobody tells which
-lines belong together; the distances do. The steps:
+lines belong together; the distances do:
 
-1. Candidates: the lines nearest to each line, exactly (:mod:`l2p.geometry.closest_lines`). Accidental meetings have a
-   constant density in the distance, which the farther candidates give for each line.
-2. A pair is of one point or an accident. The density of the distance in pairs of one point, the *noise*, falls with the
-   distance; it is estimated from the meetings themselves (expectation maximisation on bins, Dempster et al. 1977).
+1. Candidates: the lines nearest to each line, exactly (:mod:`l2p.geometry.closest_lines`). Accidental meetings are
+   spread evenly over the distance, at a rate that the farther candidates of each line give.
+2. What exceeds the accidents are pairs of one point: how many there are, and the density of their distance, the *noise*,
+   which falls with the distance.
 3. A line has at most one partner in a release. The probability of each pair under all such assignments is computed by
-   belief propagation on the candidates (Bayati, Shah and Sharma, IEEE Trans. Inf. Theory 2008; the weights are those of
-   the monomer-dimer model), exact where the candidates form no circles.
-4. Where several lines meet within the noise, the place decides: meetings of one point lie where others do. The ratio of
-   both densities of the distance to other meetings is measured on the clear pairs, and multiplied.
+   belief propagation among the candidates, whose weights are those of the monomer-dimer model (Zdeborova and Mezard,
+   J. Stat. Mech. 2006): exact where the candidates form no circles.
+4. Where several lines meet within the noise, the place decides: pairs of one point lie where others do. The ratio of
+   the densities of the distance to other meetings, of one point over accidents, is measured on the pairs themselves,
+   and so is that of equal descriptors, where both releases have them.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from l2p.geometry.closest_lines import nearest_lines
+from l2p.geometry.closest_lines import NearestLines, nearest_lines
 from l2p.geometry.elements import Lines
 
 #: Candidates of a line.
-_NEAREST = 16
+NEAREST = 16
 #: Bins of the distance: halves of an octave, from below all rounding of double precision, in units of the frame.
 _FINEST, _COARSEST, _OCTAVES_PER_BIN = 2.0**-44, 4.0, 0.5
-#: Standard deviations of the number of accidents by which a bin must exceed it to be noise of common points.
+#: Standard deviations of the number of accidents by which a bin must exceed it to be noise, and pairs besides.
 _SIGNIFICANT = 4.0
 #: Times that the place of other meetings is measured.
 _PLACES = 4
@@ -47,181 +48,212 @@ _PLACE_BINS, _OTHERS, _FEWEST, _ACCIDENTS = 16, 3, 50, 20_000
 
 
 class Meetings(NamedTuple):
-    """The best partner of each line.
+    """Pairs of lines that may have a common point, sorted by the row of the first line.
 
-    ``partner`` is the row of the other line, -1 without a candidate. ``beta`` is the position on the line where the
-    two come closest, ``sine`` that of their angle, ``distance`` how close. ``probability`` is that of one common point.
+    Attributes
+    ----------
+    row, other : (pairs,) int64
+        Rows of both lines.
+    beta : (pairs,) float64
+        Position on the first line where the two come closest.
+    distance : (pairs,) float64
+        How close that is.
+    probability : (pairs,) float64
+        Of a common point; those of one line sum to at most 1.
     """
-
-    partner: Int[np.ndarray, " lines"]
-    beta: Float[np.ndarray, " lines"]
-    distance: Float[np.ndarray, " lines"]
-    sine: Float[np.ndarray, " lines"]
-    probability: Float[np.ndarray, " lines"]
-
-
-class _Pairs(NamedTuple):
-    """Candidates: rows of the two lines, how close they come, where, and the density of accidents at distance 0."""
 
     row: Int[np.ndarray, " pairs"]
     other: Int[np.ndarray, " pairs"]
-    distance: Float[np.ndarray, " pairs"]
     beta: Float[np.ndarray, " pairs"]
-    other_beta: Float[np.ndarray, " pairs"]
-    sine: Float[np.ndarray, " pairs"]
-    point: Float[np.ndarray, "pairs 3"]
-    accidents: Float[np.ndarray, " pairs"]
-    #: Number of the two nodes of each pair, of this many, and of lines on either side.
-    nodes: tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"], int]
-    sides: tuple[int, int]
+    distance: Float[np.ndarray, " pairs"]
+    probability: Float[np.ndarray, " pairs"]
 
-    def some(self, rows: Bool[np.ndarray, " pairs"]) -> _Pairs:
-        columns = [column[rows] for column in self[:8]]
-        first, second, count = self.nodes
-        return _Pairs(*columns, (first[rows], second[rows], count), self.sides)
+    def best(self, lines: int) -> Int[np.ndarray, " lines"]:
+        """Number of the most probable pair of each of so many lines; -1 for none."""
+        order = np.lexsort([-self.distance, self.probability])
+        best = np.full(lines, -1)
+        best[self.row[order]] = order
+        return best
 
 
-def meetings(lines: Lines, others: Lines | None = None, *, room: int | None = None) -> Meetings:
-    """Find the line of another release that shares its point with each line.
+def meetings(
+    lines: Lines,
+    others: Lines | None = None,
+    descriptors: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Meetings:
+    """Find the lines of another release that may share their point with each line.
 
     Parameters
     ----------
     lines : Lines
         In double precision, in a frame whose unit is about the size of the scene.
     others : Lines, optional
-        The other release, in the same frame; None: the partner is sought among the lines themselves, of which some
-        are a second release.
-    room : int, optional
-        Bytes for the temporaries of the search.
+        The other release, in the same frame; None: partners are sought among the lines themselves, some of which are a
+        second release.
+    descriptors : pair of (lines, length) arrays, optional
+        Descriptors of both, of one type and length: an equal one tells the partner, if it also meets.
     """
-    count = len(lines.direction)
-    pairs, tables = _candidates(lines, others, room)
-    noise = _noise(tables, pairs.nodes[2] == count)
-    near = noise.near(pairs.distance)
-    if not near.any():
-        nothing = np.zeros(count)
-        return Meetings(np.full(count, -1), nothing, nothing + np.inf, nothing + 1, nothing)
-    probability = _probabilities(pairs.some(near), noise, _accident_points(pairs, ~near))
-    pairs = pairs.some(near)
-    if others is None:
-        pairs, probability = _both_ways(pairs), np.tile(probability, 2)
-    return _best(pairs, probability, count)
+    within = others is None
+    second = lines if others is None else others
+    near = nearest_lines(lines, second, NEAREST, itself=not within)
+    tables = [near] if within else [near, nearest_lines(second, lines, NEAREST)]
+    noise = _noise([table.distance.numpy() for table in tables], within)
+    pairs, accidents = _candidates(lines, second, tables, noise, _joined(descriptors, within))
+    probability = _probabilities(pairs, noise, accidents)
+    if within:
+        columns = (pairs.row, pairs.other), (pairs.other, pairs.row), (pairs.beta, pairs.other_beta)
+        row, other, beta = (np.concatenate(column) for column in columns)
+        distance, probability = np.tile(pairs.distance, 2), np.tile(probability, 2)
+    else:
+        row, other, beta, distance = pairs.row, pairs.other, pairs.beta, pairs.distance
+    order = np.lexsort([other, row])
+    return Meetings(*(column[order] for column in (row, other, beta, distance, probability)))
 
 
 class _Noise(NamedTuple):
-    """Pairs of a common point: how many, with what standard deviation, and their density in bins of the distance."""
+    """Pairs of one point: how many, with what standard deviation, and their density in bins of the distance."""
 
     pairs: float
     deviation: float
     edges: Float[np.ndarray, " bins"]
     density: Float[np.ndarray, " bins"]
 
-    def of(self, distance: Float[np.ndarray, " pairs"]) -> Float[np.ndarray, " pairs"]:
+    def of(self, distance: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """Density at each distance; 0 beyond the noise."""
         return self.density[np.searchsorted(self.edges, distance).clip(max=len(self.density) - 1)]
-
-    def near(self, distance: Float[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:
-        return self.of(distance) > 0
 
 
 def _noise(tables: list[Float[np.ndarray, "lines k"]], within: bool) -> _Noise:
-    """Estimate the noise from the distances of the nearest lines, by what exceeds the accidents.
+    """Estimate the noise from the distances of the nearest lines.
 
-    Accidents are spread evenly over the distance: given that of the farthest, the others are uniform below it.
+    Given the distance of the farthest, the nearer accidents of a line are uniform below it.
     """
     edges = np.exp2(np.arange(np.log2(_FINEST), np.log2(_COARSEST) + 1e-9, _OCTAVES_PER_BIN))
-    found, even, lines = np.zeros(len(edges)), np.zeros(len(edges)), 0
-    partners = 0.0
-    usable = [table[np.isfinite(table).all(axis=1)] for table in tables if table.shape[1] > 2]
-    for table in usable:
-        last = np.maximum(table[:, -1], _FINEST)
-        found += np.bincount(np.searchsorted(edges, table[:, :-1].ravel()).clip(max=len(edges) - 1), minlength=len(edges))
-        below = np.minimum(edges[:, None] / np.sort(last), 1).sum(axis=1)
-        even += np.diff(below, prepend=0.0)
-        lines += len(table)
-    others = max((table.shape[1] - 1 for table in usable), default=0)
-    for _ in range(20):
-        accidents = even * (others - partners)
+    found, even, rows, others = np.zeros(len(edges)), np.zeros(len(edges)), 0, 0
+    for table in tables:
+        full = table[np.isfinite(table).all(axis=1)]
+        if full.shape[1] < 3:  # a rate needs accidents beside the partner
+            continue
+        bins = np.searchsorted(edges, full[:, :-1].ravel()).clip(max=len(edges) - 1)
+        found += np.bincount(bins, minlength=len(edges))
+        even += np.diff(_uniform_below(np.maximum(full[:, -1], _FINEST), edges), prepend=0.0) * (full.shape[1] - 1)
+        rows, others = rows + len(full), max(others, full.shape[1] - 1)
+    met, deviation, last, excess = 0.0, 0.0, 0, found
+    for _ in range(20):  # the lines that have a partner have an accident less
+        accidents = even * (1 - met / max(rows * others, 1))
         excess = found - accidents
-        significant = np.flatnonzero(excess > _SIGNIFICANT * np.sqrt(accidents) + _SIGNIFICANT)
-        last = significant[-1] + 1 if len(significant) else 0
-        met = excess[:last].sum()
-        partners = min(1.0, met / max(lines, 1))
-    widths = np.diff(edges, prepend=0.0)
+        beyond = np.flatnonzero(excess > _SIGNIFICANT * np.sqrt(accidents) + _SIGNIFICANT)
+        last = beyond[-1] + 1 if len(beyond) else 0
+        met, deviation = float(excess[:last].sum().clip(0, rows)), float(np.sqrt(accidents[:last].sum()))
     share = np.where(np.arange(len(edges)) < last, np.maximum(excess, 0) + 1e-3, 0)
-    directions = 2 if within or len(tables) == 2 else 1
-    pairs = max(met, 0.0) / directions
-    deviation = np.sqrt(accidents[:last].sum()) / directions
-    return _Noise(pairs, deviation, edges, _falling(share / max(share.sum(), 1e-300), widths))
+    density = _falling(share / max(share.sum(), 1e-300), np.diff(edges, prepend=0.0))
+    # Each pair was counted from both of its lines.
+    return _Noise(met / 2, deviation / 2, edges, density)
 
 
-def _candidates(lines: Lines, others: Lines | None, room: int | None) -> tuple[_Pairs, list]:
-    """Pairs of lines of which one is among the nearest of the other, and the distances of these nearest."""
-    within = others is None
-    second = lines if others is None else others
-    counts = len(lines.direction), len(second.direction)
-    near = nearest_lines(lines, second, _NEAREST, itself=not within, room=room)
-    back = near if within else nearest_lines(second, lines, _NEAREST, room=room)
-    rates = [_rate(each.distance) for each in (near, back)]
-    keys = [
-        _key(torch.arange(counts[0])[:, None], near.index, counts[1])[near.distance.isfinite()],
-        _key(back.index, torch.arange(counts[1])[:, None], counts[1])[back.distance.isfinite()],
-    ]
-    key = torch.cat(keys).unique()
-    row, other = key // counts[1], key % counts[1]
+def _uniform_below(last: Float[np.ndarray, " lines"], edges: Float[np.ndarray, " bins"]) -> Float[np.ndarray, " bins"]:
+    """Sum of min(edge / last, 1) over the lines, for each edge."""
+    ordered = np.sort(last)
+    inverse = np.concatenate([np.cumsum(1 / ordered[::-1])[::-1], [0.0]])
+    passed = np.searchsorted(ordered, edges)
+    return passed + edges * inverse[passed]
+
+
+class _Pairs(NamedTuple):
+    """Candidates within the noise.
+
+    ``accidents`` is the density of accidents of the pair at distance 0, ``equal`` whether both lines have the same
+    descriptor; ``nodes`` numbers the lines of both sides among ``count``, and ``sides`` are the lines of each.
+    """
+
+    row: Int[np.ndarray, " pairs"]
+    other: Int[np.ndarray, " pairs"]
+    distance: Float[np.ndarray, " pairs"]
+    beta: Float[np.ndarray, " pairs"]
+    other_beta: Float[np.ndarray, " pairs"]
+    point: Float[np.ndarray, "pairs 3"]
+    accidents: Float[np.ndarray, " pairs"]
+    equal: Bool[np.ndarray, " pairs"]
+    nodes: tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]
+    count: int
+    sides: tuple[int, int]
+
+
+def _joined(
+    descriptors: tuple[np.ndarray, np.ndarray] | None, within: bool
+) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
+    """Rows of lines whose descriptors are equal, and those of no other line."""
+    none = np.zeros(0, dtype=np.int64)
+    if descriptors is None:
+        return none, none
+    every = np.concatenate(descriptors[:1] if within else descriptors)
+    _, group, size = np.unique(every, axis=0, return_inverse=True, return_counts=True)
+    twice = np.flatnonzero(size[group.ravel()] == 2)
+    pair = twice[np.argsort(group.ravel()[twice], kind="stable")].reshape(-1, 2)
     if within:
-        row, other = row[row < other], other[row < other]
-    pairs = _Pairs(
-        *_measured(lines.rows(row), second.rows(other), row, other), *_shared(rates, row, other, counts, within)
-    )
-    return pairs, [near.distance.numpy()] if within else [near.distance.numpy(), back.distance.numpy()]
+        return pair[:, 0], pair[:, 1]
+    first = len(descriptors[0])
+    pair = pair[(pair[:, 0] < first) & (pair[:, 1] >= first)]
+    return pair[:, 0], pair[:, 1] - first
 
 
-def _key(row: Int[Tensor, "..."], other: Int[Tensor, "..."], count: int) -> Int[Tensor, "..."]:
-    return row * count + other
+def _candidates(
+    lines: Lines,
+    others: Lines,
+    tables: list[NearestLines],
+    noise: _Noise,
+    joined: tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]],
+) -> tuple[_Pairs, Float[np.ndarray, "some 3"]]:
+    """Pairs that meet within the noise, and places where others, which do not, come closest."""
+    within = len(tables) == 1
+    count, many = len(lines.direction), len(others.direction)
+    keys, far = [torch.as_tensor(joined[0] * many + joined[1])], []
+    for table, turned in zip(tables, (False, True), strict=False):
+        own = torch.arange(len(table.index))[:, None].expand_as(table.index)
+        key = table.index * many + own if turned else own * many + table.index
+        close = torch.as_tensor(noise.of(table.distance.numpy()) > 0)
+        keys.append(key[close])
+        far.append(key[~close & table.distance.isfinite()])
+    key = torch.cat(keys).unique()
+    if within:
+        key = key[key // many < key % many]
+    row, other = key // many, key % many
+    distance, beta, other_beta, point = _measured(lines.rows(row), others.rows(other))
+    close = torch.as_tensor(noise.of(distance.numpy()) > 0)
+    key, row, other = key[close], row[close], other[close]
+    rates = [_rate(table.distance) for table in (tables[0], tables[-1])]
+    total = float(torch.sqrt(rates[0].sum() * rates[1].sum()))
+    accidents = rates[0][row] * rates[1][other] / max(total, 1e-300)
+    columns = (row, other, distance[close], beta[close], other_beta[close], point[close], accidents)
+    equal = np.isin(key.numpy(), joined[0] * many + joined[1])
+    nodes = row.numpy(), (other if within else count + other).numpy()
+    size = count if within else count + many
+    pairs = _Pairs(*(column.numpy() for column in columns), equal, nodes, size, (count, many))
+    some = torch.cat(far)
+    some = some[:: max(1, len(some) // _ACCIDENTS)]
+    return pairs, _measured(lines.rows(some // many), others.rows(some % many))[3].numpy()
 
 
-def _rate(distance: Float[Tensor, "lines k"]) -> Float[np.ndarray, " lines"]:
+def _rate(distance: Float[Tensor, "lines k"]) -> Float[Tensor, " lines"]:
     """Accidental meetings of each line per unit of distance; the nearest line may be its partner."""
     found = distance.isfinite().sum(dim=1)
-    last = distance.gather(1, (found - 1).clamp_min(0)[:, None])[:, 0]
-    rate = (found - 1.5).clamp_min(0.5) / last.clamp_min(_FINEST)
-    return torch.where(found > 0, rate, 0.0).numpy()
+    last = distance.gather(1, (found - 1).clamp_min(0)[:, None])[:, 0] if distance.shape[1] else distance.sum(dim=1)
+    return torch.where(found > 0, (found - 1.5).clamp_min(0.5) / last.clamp_min(_FINEST), 0.0)
 
 
-def _shared(
-    rates: list[Float[np.ndarray, " lines"]],
-    row: Int[Tensor, " pairs"],
-    other: Int[Tensor, " pairs"],
-    counts: tuple[int, int],
-    within: bool,
-) -> tuple:
-    """Density of accidents of each pair at distance 0, in proportion to both rates; the nodes; the lines."""
-    first, second = rates
-    total = np.sqrt(first.sum() * second.sum())
-    node = other.numpy() if within else counts[0] + other.numpy()
-    size = counts[0] if within else sum(counts)
-    return first[row.numpy()] * second[other.numpy()] / total, (row.numpy(), node, size), counts
-
-
-def _measured(first: Lines, second: Lines, row: Int[Tensor, " pairs"], other: Int[Tensor, " pairs"]) -> tuple:
-    """Distance of the pairs, where they come closest, and the sine of the angle."""
+def _measured(
+    first: Lines, second: Lines
+) -> tuple[Float[Tensor, " pairs"], Float[Tensor, " pairs"], Float[Tensor, " pairs"], Float[Tensor, "pairs 3"]]:
+    """Distance of each pair, the positions on both lines where they come closest, and the point between."""
     cosine = (first.direction * second.direction).sum(dim=1)
     sine2 = torch.linalg.cross(first.direction, second.direction).square().sum(dim=1)
-    foot, other_foot = first.foot, second.foot
-    ahead = (other_foot * first.direction).sum(dim=1)
-    back = (foot * second.direction).sum(dim=1)
+    # Pairs with equal descriptors may be parallel: they have no distance.
+    sine2 = sine2.clamp_min(torch.finfo(sine2.dtype).tiny)
+    ahead, back = (second.foot * first.direction).sum(dim=1), (first.foot * second.direction).sum(dim=1)
     beta, other_beta = (ahead + cosine * back) / sine2, (back + cosine * ahead) / sine2
     reciprocal = (first.direction * second.moment).sum(dim=1) + (first.moment * second.direction).sum(dim=1)
-    sine = sine2.sqrt()
     point = (first.at(beta) + second.at(other_beta)) / 2
-    columns = (row, other, reciprocal.abs() / sine, beta, other_beta, sine, point)
-    return tuple(column.numpy() for column in columns)
-
-
-def _accident_points(pairs: _Pairs, rows: Bool[np.ndarray, " pairs"]) -> Float[np.ndarray, "some 3"]:
-    """Where some pairs come closest that are surely accidents."""
-    points = pairs.point[rows]
-    return points[:: max(1, len(points) // _ACCIDENTS)]
+    return reciprocal.abs() / sine2.sqrt(), beta, other_beta, point
 
 
 def _probabilities(
@@ -231,14 +263,15 @@ def _probabilities(
     odds = _activity(noise, pairs) * noise.of(pairs.distance) / np.maximum(pairs.accidents, 1e-300)
     probability = _matched(odds, pairs)
     for _ in range(_PLACES):
-        probability = _matched(odds * _placed(pairs, probability, accidents), pairs)
+        ratio = _placed(pairs, probability, accidents) * _alike(pairs.equal, probability)
+        probability = _matched(odds * ratio, pairs)
     return probability
 
 
 def _activity(noise: _Noise, pairs: _Pairs) -> float:
-    """Odds of a pair before anything is measured: matched pairs over pairs of unmatched lines."""
+    """Odds of a pair before anything is measured: pairs of one point, over all pairs of lines without a partner."""
     first, second = pairs.sides
-    if pairs.nodes[2] == first:  # within one cloud, a pair takes two of its lines
+    if pairs.count == first:  # within one cloud, a pair takes two of its lines
         return 2 * noise.pairs / (max(first - 2 * noise.pairs, 0.0) + 1 + noise.deviation) ** 2
     free = [max(lines - noise.pairs, 0.0) + 1 + noise.deviation for lines in (first, second)]
     return noise.pairs / (free[0] * free[1])
@@ -257,13 +290,13 @@ def _falling(share: Float[np.ndarray, " bins"], widths: Float[np.ndarray, " bins
 
 def _matched(odds: Float[np.ndarray, " pairs"], pairs: _Pairs) -> Float[np.ndarray, " pairs"]:
     """Probability of each pair, if every line has at most one partner."""
-    first, second, count = pairs.nodes
+    first, second = pairs.nodes
     odds = np.minimum(odds, _MOST)
+    # That a line is free, as far as its other candidates tell.
     free, other_free = np.ones(len(odds)), np.ones(len(odds))
     for _ in range(_PASSES):
         to_first, to_second = odds * other_free, odds * free
-        total = np.bincount(first, to_first, count) + np.bincount(second, to_second, count)
-        # That a line is free, as far as its other candidates tell.
+        total = np.bincount(first, to_first, pairs.count) + np.bincount(second, to_second, pairs.count)
         new = 1 / (1 + np.maximum(total[first] - to_first, 0))
         other_new = 1 / (1 + np.maximum(total[second] - to_second, 0))
         free, other_free = _KEPT * free + (1 - _KEPT) * new, _KEPT * other_free + (1 - _KEPT) * other_new
@@ -283,9 +316,11 @@ def _placed(
     tree = KDTree(pairs.point[clear])
     found, index = tree.query(pairs.point, _OTHERS + 2)
     met = clear[index]
-    own = (pairs.nodes[0][met] == pairs.nodes[0][:, None]) | (pairs.nodes[1][met] == pairs.nodes[1][:, None])
+    own = np.logical_or(*(node[met] == node[:, None] for node in pairs.nodes))
     found = np.sort(np.where(own, np.inf, found), axis=1)[:, _OTHERS - 1]
     known = found[clear][np.isfinite(found[clear])]
+    if not len(known):
+        return np.ones(len(probability))
     cuts = np.quantile(known, np.linspace(0, 1, _PLACE_BINS + 1)[1:])
     cuts = np.unique(np.concatenate([cuts, cuts[-1] * 2.0 ** np.arange(1, 5)]))
     bins = np.searchsorted(cuts, found)
@@ -296,26 +331,9 @@ def _placed(
     return _falling(true / true.sum(), false / false.sum())[bins]
 
 
-def _both_ways(pairs: _Pairs) -> _Pairs:
-    """The pairs of one cloud, each also from its second line."""
-    columns = [np.concatenate(both) for both in zip(pairs[:8], _swapped(pairs), strict=True)]
-    return _Pairs(*columns, pairs.nodes, pairs.sides)
-
-
-def _swapped(pairs: _Pairs) -> tuple:
-    return (pairs.other, pairs.row, pairs.distance, pairs.other_beta, pairs.beta, *pairs[5:8])
-
-
-def _best(pairs: _Pairs, probability: Float[np.ndarray, " pairs"], count: int) -> Meetings:
-    """The most probable partner of each line."""
-    order = np.lexsort([-pairs.distance, probability])
-    best = np.full(count, -1)
-    best[pairs.row[order]] = order
-    none = best < 0
-    return Meetings(
-        np.where(none, -1, pairs.other[best]),
-        np.where(none, 0.0, pairs.beta[best]),
-        np.where(none, np.inf, pairs.distance[best]),
-        np.where(none, 1.0, pairs.sine[best]),
-        np.where(none, 0.0, probability[best]),
-    )
+def _alike(equal: Bool[np.ndarray, " pairs"], probability: Float[np.ndarray, " pairs"]) -> Float[np.ndarray, " pairs"]:
+    """Ratio of the probabilities, in common points and in accidents, that the descriptors are as equal as they are."""
+    if not equal.any():
+        return np.ones(len(equal))
+    true, false = (np.bincount(equal, part, 2) + 0.5 for part in (probability, 1 - probability))
+    return ((true / true.sum()) / (false / false.sum()))[equal.astype(np.int64)]

@@ -1,4 +1,4 @@
-"""The lines of one cloud that pass nearest to each line of another: exact, in blocks, a product of matrices each.
+"""The lines of one cloud that pass nearest to each line of another: exact, in blocks, two products of matrices each.
 
 The distance of two lines is their reciprocal product |d_i . m_j + m_i . d_j| over the sine of their angle, so all
 distances of a block are one product of six-vectors divided by the root of 1 - (d_i . d_j)^2, which is another. The
@@ -15,12 +15,9 @@ from torch import Tensor
 
 from l2p.geometry.elements import Lines
 from l2p.geometry.pairs import PARALLEL, line_line_distance
-from l2p.work.memory import fitting
 
-#: Pairs of a block: what two numbers of each take fits into the cache of a core.
+#: Pairs of a block, whose distances fit into the cache of a core.
 _BLOCK = 1 << 21
-#: Bytes of the temporaries of a pair in a block.
-_PAIR_BYTES = 12
 #: More lines that a block chooses than are wanted, since it ranks them in single precision.
 _SPARE = 4
 
@@ -32,9 +29,7 @@ class NearestLines(NamedTuple):
     distance: Float[Tensor, "lines k"]
 
 
-def nearest_lines(
-    lines: Lines, others: Lines, k: int, *, itself: bool = True, room: int | None = None
-) -> NearestLines:
+def nearest_lines(lines: Lines, others: Lines, k: int, *, itself: bool = True) -> NearestLines:
     """Find, for each line, the k of the others at the least distance.
 
     Parameters
@@ -45,29 +40,27 @@ def nearest_lines(
         Columns of the result; fewer if there are fewer others.
     itself : bool
         False if both are one cloud: row i is then no neighbour of row i.
-    room : int, optional
-        Bytes for the temporaries.
 
     Notes
     -----
-    Lines at an angle whose sine is below :data:`l2p.geometry.pairs.PARALLEL` have no closest point and no distance:
-    half a pair in a million of uniform directions.
+    Lines at an angle whose sine is below :data:`l2p.geometry.pairs.PARALLEL` have no closest point, and their distance
+    counts as infinite: half a pair in a million of uniform directions.
     """
     count = len(others.direction)
     k = min(k, count - (not itself))
     if k < 1:
         empty = lines.direction.new_zeros(len(lines.direction), 0)
         return NearestLines(empty.long(), empty)
-    spare = min(k + _SPARE, count)
-    step = fitting(max(1, _BLOCK // count), _PAIR_BYTES * count, room)
-    single, table = _singles(lines), _singles(others)
-    first = torch.cat([single.direction, single.moment], dim=1)
-    direction, swapped = table.direction.T.contiguous(), torch.cat([table.moment, table.direction], dim=1).T.contiguous()
+    spare, step = min(k + _SPARE, count), max(1, _BLOCK // count)
+    first = torch.cat(lines, dim=1).float()
+    direction = others.direction.float().T.contiguous()
+    swapped = torch.cat([others.moment, others.direction], dim=1).float().T.contiguous()
     chosen = []
     for start in range(0, len(first), step):
         some = first[start : start + step]
         sine2 = torch.mm(some[:, :3], direction).square_().neg_().add_(1)
         near = torch.mm(some, swapped).square_().div_(sine2.clamp_(min=PARALLEL**2))
+        # The clamped ones are parallel, up to single precision.
         near.masked_fill_(sine2 <= PARALLEL**2, torch.inf)
         if not itself:
             near[torch.arange(len(some)), torch.arange(start, start + len(some))] = torch.inf
@@ -78,7 +71,3 @@ def nearest_lines(
         distance.masked_fill_(index == torch.arange(len(index))[:, None], torch.inf)
     distance, order = distance.sort(dim=1, stable=True)
     return NearestLines(index.gather(1, order[:, :k]), distance[:, :k])
-
-
-def _singles(lines: Lines) -> Lines:
-    return Lines(lines.direction.float(), lines.moment.float())
