@@ -6,8 +6,8 @@ lines belong together; the distances do:
 
 1. Candidates: the lines nearest to each line, exactly (:mod:`l2p.geometry.closest_lines`). Accidental meetings are
    spread evenly over the distance, at a rate that the farther candidates of each line give.
-2. What exceeds the accidents are pairs of one point: how many there are, and the density of their distance, the *noise*,
-   which falls with the distance.
+2. What exceeds the accidents are pairs of one point: how many there are, and the density of their distance, the
+   *noise*, which falls with the distance.
 3. A line has at most one partner in a release. The probability of each pair under all such assignments is computed by
    belief propagation among the candidates, whose weights are those of the monomer-dimer model (Zdeborova and Mezard,
    J. Stat. Mech. 2006): exact where the candidates form no circles.
@@ -256,9 +256,7 @@ def _measured(
     return reciprocal.abs() / sine2.sqrt(), beta, other_beta, point
 
 
-def _probabilities(
-    pairs: _Pairs, noise: _Noise, accidents: Float[np.ndarray, "some 3"]
-) -> Float[np.ndarray, " pairs"]:
+def _probabilities(pairs: _Pairs, noise: _Noise, accidents: Float[np.ndarray, "some 3"]) -> Float[np.ndarray, " pairs"]:
     """Probability that each pair has a common point."""
     odds = _activity(noise, pairs) * noise.of(pairs.distance) / np.maximum(pairs.accidents, 1e-300)
     probability = _matched(odds, pairs)

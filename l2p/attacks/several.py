@@ -1,8 +1,9 @@
 """Recovery of a map from several releases: lines that meet give their point away, others keep that of an attack.
 
 Every line has a few places where its point may be: where lines of other releases meet it, each with a probability
-(:mod:`l2p.attacks.meetings`), and where an attack on all lines together puts it, with its confidence. Their odds against
-"nowhere here" are multiplied where they name one place, which is within a spacing, and the most probable place wins.
+(:mod:`l2p.attacks.meetings`), and where an attack on all lines together puts it, with its confidence. Their odds
+against "in none of these places" are multiplied where they name one place, which is within a spacing, and the most
+probable place wins.
 """
 
 from __future__ import annotations
@@ -139,7 +140,7 @@ def _check(releases: Sequence[LineCloud]) -> None:
 
 
 def _equal_lines(first: LineCloud, second: LineCloud) -> int:
-    """Lines of the second release that are lines of the first, up to their sign and the rounding to single precision."""
+    """Lines of the second release that are lines of the first, up to sign and rounding to single precision."""
 
     def keys(lines: LineCloud) -> Float[np.ndarray, "lines 3"]:
         largest = np.take_along_axis(lines.direction, np.abs(lines.direction).argmax(axis=1)[:, None], axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from l2p.auditing.attackers import Attacker, named
 from l2p.auditing.audit import Audit
+from l2p.auditing.published_again import EXACT
 from l2p.auditing.trial import Trial
 from l2p.show.page.numbers import count, fraction, length, percent
 
@@ -13,7 +14,9 @@ _TELLING = 0.02
 
 def sentences(audit: Audit) -> list[str]:
     """Return all sentences, the headline first."""
-    return [each for make in (headline, region, left_out, alone, savings, typical, sparser) if (each := make(audit))]
+    return [
+        each for make in (headline, again, region, left_out, alone, savings, typical, sparser) if (each := make(audit))
+    ]
 
 
 def headline(audit: Audit) -> str:
@@ -47,6 +50,23 @@ def _knowledge(within: float, half: float) -> str:
     if half - within >= _TELLING:
         return f"the attacker has some idea which: the most confident half is right {percent(half)}"
     return f"the attacker can hardly tell which: the most confident half is right only {percent(half)}"
+
+
+def again(audit: Audit) -> str:
+    """What further releases of the map give away, at the largest fraction; empty if they were not asked about."""
+    if audit.again is None:
+        return ""
+    first, times = audit.again.trials[0], _times(audit.again.releases)
+    return (
+        f"A map must be lifted once and for ever: if it is published {times}, with fresh directions, "
+        f"{percent(first.met / first.lines)} of the lines meet another line of their point, and {percent(first.exact)} "
+        f"of the points are recovered within {EXACT:g} spacings ({percent(first.within)} within 1), although nobody "
+        "tells which lines belong together."
+    )
+
+
+def _times(releases: int) -> str:
+    return "twice" if releases == 2 else f"{releases} times"
 
 
 def region(audit: Audit) -> str:
