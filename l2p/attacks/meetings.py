@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from l2p.geometry.closest_lines import NearestLines, nearest_lines
@@ -97,8 +97,13 @@ def meetings(
     second = lines if others is None else others
     near = nearest_lines(lines, second, NEAREST, itself=not within)
     tables = [near] if within else [near, nearest_lines(second, lines, NEAREST)]
-    noise = _noise([table.distance.numpy() for table in tables], within)
-    pairs, accidents = _candidates(lines, second, tables, noise, _joined(descriptors, within))
+    joined = _joined(descriptors, within)
+    estimates = (
+        _noise([table.distance.numpy() for table in tables]),
+        _told_noise(lines.rows(torch.as_tensor(joined[0])), second.rows(torch.as_tensor(joined[1])), tables),
+    )
+    noise = max(estimates, key=lambda each: each.pairs)
+    pairs, accidents = _candidates(lines, second, tables, noise, joined)
     probability = _probabilities(pairs, noise, accidents)
     if within:
         columns = (pairs.row, pairs.other), (pairs.other, pairs.row), (pairs.beta, pairs.other_beta)
@@ -123,12 +128,12 @@ class _Noise(NamedTuple):
         return self.density[np.searchsorted(self.edges, distance).clip(max=len(self.density) - 1)]
 
 
-def _noise(tables: list[Float[np.ndarray, "lines k"]], within: bool) -> _Noise:
-    """Estimate the noise from the distances of the nearest lines.
+def _noise(tables: list[np.ndarray]) -> _Noise:
+    """Estimate the noise from the distances of the nearest lines, (lines, k) of each release.
 
     Given the distance of the farthest, the nearer accidents of a line are uniform below it.
     """
-    edges = np.exp2(np.arange(np.log2(_FINEST), np.log2(_COARSEST) + 1e-9, _OCTAVES_PER_BIN))
+    edges = _edges()
     found, even, rows, others = np.zeros(len(edges)), np.zeros(len(edges)), 0, 0
     for table in tables:
         full = table[np.isfinite(table).all(axis=1)]
@@ -138,17 +143,42 @@ def _noise(tables: list[Float[np.ndarray, "lines k"]], within: bool) -> _Noise:
         found += np.bincount(bins, minlength=len(edges))
         even += np.diff(_uniform_below(np.maximum(full[:, -1], _FINEST), edges), prepend=0.0) * (full.shape[1] - 1)
         rows, others = rows + len(full), max(others, full.shape[1] - 1)
-    met, deviation, last, excess = 0.0, 0.0, 0, found
+    noise = _Noise(0.0, 0.0, edges, np.zeros(len(edges)))
     for _ in range(20):  # the lines that have a partner have an accident less
-        accidents = even * (1 - met / max(rows * others, 1))
-        excess = found - accidents
-        beyond = np.flatnonzero(excess > _SIGNIFICANT * np.sqrt(accidents) + _SIGNIFICANT)
-        last = beyond[-1] + 1 if len(beyond) else 0
-        met, deviation = float(excess[:last].sum().clip(0, rows)), float(np.sqrt(accidents[:last].sum()))
+        noise = _excess(found, even * (1 - noise.pairs / max(rows * others, 1)), rows, edges)
+    # Each pair was counted from both of its lines.
+    return noise._replace(pairs=noise.pairs / 2, deviation=noise.deviation / 2)
+
+
+def _told_noise(lines: Lines, others: Lines, tables: list[NearestLines]) -> _Noise:
+    """Estimate the noise from pairs that equal descriptors tell."""
+    edges = _edges()
+    found = np.bincount(
+        np.searchsorted(edges, _measured(lines, others)[0].numpy()).clip(max=len(edges) - 1), minlength=len(edges)
+    )
+    told, all_pairs = len(lines.direction), len(tables[0].index) * len(tables[-1].index)
+    rate = float(_rate(tables[0].distance).sum()) / all_pairs
+    return _excess(found, told * rate * np.diff(edges, prepend=0.0), told, edges)
+
+
+def _excess(
+    found: Shaped[np.ndarray, " bins"],
+    accidents: Float[np.ndarray, " bins"],
+    most: int,
+    edges: Float[np.ndarray, " bins"],
+) -> _Noise:
+    """What exceeds the accidents, up to the last bin in which it does so significantly."""
+    excess = found - accidents
+    beyond = np.flatnonzero(excess > _SIGNIFICANT * np.sqrt(accidents) + _SIGNIFICANT)
+    last = beyond[-1] + 1 if len(beyond) else 0
     share = np.where(np.arange(len(edges)) < last, np.maximum(excess, 0) + 1e-3, 0)
     density = _falling(share / max(share.sum(), 1e-300), np.diff(edges, prepend=0.0))
-    # Each pair was counted from both of its lines.
-    return _Noise(met / 2, deviation / 2, edges, density)
+    met, deviation = excess[:last].sum().clip(0, most), np.sqrt(accidents[:last].sum())
+    return _Noise(float(met), float(deviation), edges, density)
+
+
+def _edges() -> Float[np.ndarray, " bins"]:
+    return np.exp2(np.arange(np.log2(_FINEST), np.log2(_COARSEST) + 1e-9, _OCTAVES_PER_BIN))
 
 
 def _uniform_below(last: Float[np.ndarray, " lines"], edges: Float[np.ndarray, " bins"]) -> Float[np.ndarray, " bins"]:

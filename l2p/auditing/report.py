@@ -19,7 +19,7 @@ from l2p.auditing.published_again import EXACT, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
 from l2p.auditing.tradeoff import ReleaseInputs, tradeoff
 from l2p.auditing.trial import Trial
-from l2p.auditing.words import sentences
+from l2p.auditing.words import sentences, times
 from l2p.io.atomic import atomic_folder
 from l2p.judging.accuracy import errors
 from l2p.judging.measure import Figure, Form, Need, figures
@@ -239,17 +239,17 @@ def _again_table(again: PublishedAgain) -> Table:
             percent(trial.met / trial.lines),
             percent(trial.exact),
             percent(trial.within),
-            f"{trial.median:.1g}" if trial.median < 0.005 else f"{trial.median:.2f}",
+            "< 0.001" if trial.median < 0.001 else f"{trial.median:.3f}",
             f"{trial.seconds:.1f}",
         ]
         for trial in again.trials
     ]
     note = (
-        f"The map is lifted {again.releases} times, with other directions and, below 100 %, other points each time. "
-        "The attacker sees the lines alone, of all releases, and does not know which belong together. The figures are of "
-        "the points of the first release: those that another release has too are given away."
+        f"The map is lifted {times(again.releases)}, with other directions and, below 100 %, other points each time. "
+        "The attacker sees the lines alone, of all releases, and does not know which belong together. The figures are "
+        "of the points of the first release: those that another release has too are given away."
     )
-    return Table(f"Published {again.releases} times", heads, [Group("", rows)], note)
+    return Table(f"Published {times(again.releases)}", heads, [Group("", rows)], note)
 
 
 def _left_out_table(audit: Audit, left_out: LeftOut) -> Table:

@@ -56,16 +56,19 @@ def again(audit: Audit) -> str:
     """What further releases of the map give away, at the largest fraction; empty if they were not asked about."""
     if audit.again is None:
         return ""
-    first, times = audit.again.trials[0], _times(audit.again.releases)
+    first = audit.again.trials[0]
     return (
-        f"A map must be lifted once and for ever: if it is published {times}, with fresh directions, "
-        f"{percent(first.met / first.lines)} of the lines meet another line of their point, and {percent(first.exact)} "
-        f"of the points are recovered within {EXACT:g} spacings ({percent(first.within)} within 1), although nobody "
-        "tells which lines belong together."
+        f"A map must be lifted once and for ever. If it is published {times(audit.again.releases)}, with fresh "
+        f"directions, {percent(first.exact)} of the points are recovered within {EXACT:g} spacings and "
+        f"{percent(first.within)} within 1, although nobody tells which lines belong together."
     )
 
 
-def _times(releases: int) -> str:
+def times(releases: int) -> str:
+    """
+    >>> times(2), times(3)
+    ('twice', '3 times')
+    """
     return "twice" if releases == 2 else f"{releases} times"
 
 
