@@ -104,7 +104,7 @@ def meetings(
     )
     noise = max(estimates, key=lambda each: each.pairs)
     pairs, accidents = _candidates(lines, second, tables, noise, joined)
-    probability = _probabilities(pairs, noise, accidents)
+    probability = _probabilities(pairs, noise, estimates[1].pairs, accidents)
     if within:
         columns = (pairs.row, pairs.other), (pairs.other, pairs.row), (pairs.beta, pairs.other_beta)
         row, other, beta = (np.concatenate(column) for column in columns)
@@ -286,10 +286,14 @@ def _measured(
     return reciprocal.abs() / sine2.sqrt(), beta, other_beta, point
 
 
-def _probabilities(pairs: _Pairs, noise: _Noise, accidents: Float[np.ndarray, "some 3"]) -> Float[np.ndarray, " pairs"]:
-    """Probability that each pair has a common point."""
+def _probabilities(
+    pairs: _Pairs, noise: _Noise, told: float, accidents: Float[np.ndarray, "some 3"]
+) -> Float[np.ndarray, " pairs"]:
+    """Probability that each pair has a common point, which so many with equal descriptors have."""
     odds = _activity(noise, pairs) * noise.of(pairs.distance) / np.maximum(pairs.accidents, 1e-300)
-    probability = _matched(odds, pairs)
+    equal = int(pairs.equal.sum())
+    shares = told / max(equal, 1), max(noise.pairs - told, 0.0) / max(len(odds) - equal, 1)
+    probability = _matched(odds * _alike(pairs.equal, np.where(pairs.equal, *shares).clip(0, 1)), pairs)
     for _ in range(_PLACES):
         ratio = _placed(pairs, probability, accidents) * _alike(pairs.equal, probability)
         probability = _matched(odds * ratio, pairs)
