@@ -254,11 +254,12 @@ def _candidates(
     rates = [_rate(table.distance) for table in (tables[0], tables[-1])]
     total = float(torch.sqrt(rates[0].sum() * rates[1].sum()))
     accidents = rates[0][row] * rates[1][other] / max(total, 1e-300)
-    columns = (row, other, distance[close], beta[close], other_beta[close], point[close], accidents)
+    tensors = (row, other, distance[close], beta[close], other_beta[close], point[close], accidents)
+    a, b, c, d, e, f, g = (tensor.numpy() for tensor in tensors)
     equal = np.isin(key.numpy(), joined[0] * many + joined[1])
     nodes = row.numpy(), (other if within else count + other).numpy()
     size = count if within else count + many
-    pairs = _Pairs(*(column.numpy() for column in columns), equal, nodes, size, (count, many))
+    pairs = _Pairs(a, b, c, d, e, f, g, equal, nodes, size, (count, many))
     some = torch.cat(far)
     some = some[:: max(1, len(some) // _ACCIDENTS)]
     return pairs, _measured(lines.rows(some // many), others.rows(some % many))[3].numpy()
@@ -358,7 +359,7 @@ def _placed(
     bins = np.searchsorted(cuts, found)
     true, false = (np.bincount(bins, part, len(cuts) + 1) + 0.5 for part in (probability, 1 - probability))
     if len(accidents):
-        far = tree.query(accidents, [_OTHERS])[0][:, 0]
+        far = np.asarray(tree.query(accidents, _OTHERS)[0])[:, -1]
         false += np.bincount(np.searchsorted(cuts, far), minlength=len(cuts) + 1)
     return _falling(true / true.sum(), false / false.sum())[bins]
 

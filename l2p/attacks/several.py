@@ -90,7 +90,7 @@ def recover_releases(
     _check(releases)
     common = _common(releases)
     frame = Frame.of(_together(common))
-    first, *others = (_entered(frame, lines) for lines in common)
+    first, *others = (entered(frame, lines) for lines in common)
     pairs = [
         meetings(first, other, _descriptors(common[0], lines)) for other, lines in zip(others, common[1:], strict=True)
     ]
@@ -174,8 +174,8 @@ def _together(releases: Sequence[LineCloud]) -> LineCloud:
     return replace(releases[0], **columns)
 
 
-def _entered(frame: Frame, lines: LineCloud) -> Lines:
-    """Lines about the centre of the frame, in its unit; not rounded as attacks have them, since meetings are finer."""
+def entered(frame: Frame, lines: LineCloud) -> Lines:
+    """Transform lines to the centre and unit of the frame; not rounded as for attacks, since meetings are finer."""
     moment = (lines.moment - np.cross(frame.center, lines.direction)) / frame.unit
     return Lines(torch.as_tensor(lines.direction.copy()), torch.as_tensor(moment))
 

@@ -103,18 +103,15 @@ def test_partners_do_not_depend_on_order_sign_place_and_size(points):
 def test_lines_whose_point_is_in_one_release_only_keep_the_place_of_the_attack(points):
     first, second = released(points, 0.6, 0.5)
     both = true_partner(first, second) >= 0
-    together = l2p.LineCloud(
-        *(np.concatenate([getattr(each.map, name) for each in (first, second)]) for name in COLUMNS)
-    )
+    maps = first.map, second.map
+    direction, moment = (np.concatenate([getattr(each, name) for each in maps]) for name in ("direction", "moment"))
+    together = l2p.LineCloud(direction, moment)
     alone, found = l2p.recover(together, **CHEAP), l2p.recover_releases([first.map, second.map], **CHEAP)
     error = np.linalg.norm(found.xyz - first.truth.xyz, axis=1)
     assert np.quantile(error[both], 0.95) < 1e-9
     kept = found.beta == alone.beta[: len(found)]
     assert kept[~both].mean() > 0.95 and not kept[both].any()
     assert abs(found.info["met"] - both.sum()) < 0.03 * len(both)
-
-
-COLUMNS = ("direction", "moment")
 
 
 def test_three_releases_give_away_what_two_of_them_share(points):

@@ -23,7 +23,7 @@ def slow_distance(a: Lines, i: int, b: Lines, j: int) -> float:
     normal = np.cross(a.direction[i], b.direction[j])
     length = np.linalg.norm(normal)
     between = a.foot[i].numpy() - b.foot[j].numpy()
-    return abs(between @ normal) / length if length > 1e-3 else np.inf
+    return float(abs(between @ normal) / length) if length > 1e-3 else np.inf
 
 
 @pytest.mark.parametrize(("itself", "block"), [(True, 1 << 21), (True, 64), (False, 100)])
