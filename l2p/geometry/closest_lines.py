@@ -55,7 +55,8 @@ def nearest_lines(lines: Lines, others: Lines, k: int, *, itself: bool = True) -
     first = torch.cat(lines, dim=1).float()
     direction = others.direction.float().T.contiguous()
     swapped = torch.cat([others.moment, others.direction], dim=1).float().T.contiguous()
-    chosen = []
+    # Blocks write into it: small results kept between them would pin their freed temporaries in the heap.
+    index = torch.empty(len(first), spare, dtype=torch.int64)
     for start in range(0, len(first), step):
         some = first[start : start + step]
         sine2 = torch.mm(some[:, :3], direction).square_().neg_().add_(1)
@@ -64,8 +65,7 @@ def nearest_lines(lines: Lines, others: Lines, k: int, *, itself: bool = True) -
         near.masked_fill_(sine2 <= PARALLEL**2, torch.inf)
         if not itself:
             near[torch.arange(len(some)), torch.arange(start, start + len(some))] = torch.inf
-        chosen.append(near.topk(spare, dim=1, largest=False, sorted=False).indices)
-    index = torch.cat(chosen)
+        index[start : start + step] = near.topk(spare, dim=1, largest=False, sorted=False).indices
     distance = line_line_distance(lines, others, index)
     if not itself:
         distance.masked_fill_(index == torch.arange(len(index))[:, None], torch.inf)
