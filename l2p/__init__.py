@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from l2p.attacks.run import recover
+    from l2p.attacks.several import recover_releases
     from l2p.auditing.audit import Audit, audit
     from l2p.auditing.report import save_report
     from l2p.errors import InputError
@@ -48,6 +49,7 @@ _HOME = {
     "load": "l2p.io.files",
     "localize": "l2p.utility.releases",
     "recover": "l2p.attacks.run",
+    "recover_releases": "l2p.attacks.several",
     "save": "l2p.io.files",
     "save_report": "l2p.auditing.report",
     "simulate": "l2p.simulator",

@@ -20,9 +20,11 @@ from jaxtyping import Bool, Float
 from l2p.attacks.named import named_attack
 from l2p.attacks.run import recover
 from l2p.attacks.settings import DEFAULT_METHOD, owners_of
+from l2p.attacks.several import recover_releases
 from l2p.auditing import FRACTIONS
 from l2p.auditing.attackers import Attacker, attackers_of, others
 from l2p.auditing.left_out import LeftOut
+from l2p.auditing.published_again import MOST_RELEASES, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
 from l2p.auditing.trial import Prediction, Trial
 from l2p.checks import check_fraction
@@ -47,7 +49,7 @@ from l2p.work.progress import NO_PROGRESS, Progress
 #: Recovers lines that hold a fraction of the map's points.
 _Recover = Callable[[LineCloud, float], Recovery]
 #: Version of the layout of ``audit.json``, written into it.
-AUDIT_VERSION = 3
+AUDIT_VERSION = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +87,8 @@ class Audit:
         Images of the map, localized in its releases; None without queries.
     undropped : Localization or None
         The same at the largest fraction if no point were left out; None if none was.
+    again : PublishedAgain or None
+        What several releases of the map give away together; None if only one was asked about.
     """
 
     name: str
@@ -101,6 +105,7 @@ class Audit:
     region: AskedRegion | None = None
     localization: Localization | None = None
     undropped: Localization | None = None
+    again: PublishedAgain | None = None
 
     @property
     def scheme(self) -> str:
@@ -165,6 +170,7 @@ class Audit:
             "ignored": list(self.ignored),
             "left_out": None if self.left_out is None else self.left_out.as_dict(),
             "region": None if self.region is None else self.region.as_dict(),
+            "published_again": None if self.again is None else self.again.as_dict(),
             "versions": versions(),
             "machine": {**machine(), "threads": torch.get_num_threads()},
             "thresholds": THRESHOLDS.tolist(),
@@ -183,6 +189,7 @@ def audit(
     ignore: Collection[str] = (),
     drop: Bool[np.ndarray, " points"] | None = None,
     region: Bool[np.ndarray, " points"] | None = None,
+    releases: int = 1,
     metric: bool = False,
     device: str = "cpu",
     memory: float | None = None,
@@ -215,6 +222,9 @@ def audit(
         have something within 1 spacing that is still there. Not with a line cloud.
     region : (points,) bool, optional
         True for each point of a region: the audit also says how much comes back of it. Not with a line cloud.
+    releases : int
+        2 or more: the audit also says what so many releases, with other directions each, give away together by their
+        lines alone (:func:`l2p.recover_releases`). Not with a line cloud.
     metric : bool
         The scene is in metres.
     queries : Queries, optional
@@ -254,6 +264,12 @@ def audit(
         raise InputError("got a region for a line cloud, whose points are unknown; expected one with a scene")
     if isinstance(scene, LineCloud) and drop is not None:
         raise InputError("got points to drop for a line cloud, which has none; drop them when the map is lifted")
+    if isinstance(scene, LineCloud) and releases != 1:
+        raise InputError(
+            "got releases for a line cloud; expected them with a scene; l2p recover takes several line clouds"
+        )
+    if not 1 <= releases <= MOST_RELEASES:
+        raise InputError(f"got {releases} releases; expected 1 to {MOST_RELEASES}")
     scene = scene if isinstance(scene, LineCloud | Scene) else Scene(scene)
     published = scene.appearance.without(ignore)
     attackers = attackers_of(named_attack(method, **settings), published)
@@ -288,6 +304,8 @@ def audit(
         None if drop is None else LeftOut.of(scene.xyz[drop], pairs, scale),
         None if region is None else AskedRegion.of(region, trials, scale),
     )
+    if releases > 1:
+        found = replace(found, again=_again(found, scene, drop, releases, progress, attack))
     if queries is None:
         return found
     config, largest = localizing or LocalizeConfig(), found.fractions[0]
@@ -341,6 +359,27 @@ def _trials(
     return trials
 
 
+def _again(
+    found: Audit,
+    scene: Scene,
+    drop: Bool[np.ndarray, " points"] | None,
+    releases: int,
+    progress: Progress,
+    attack: Callable[[list[LineCloud], float], Recovery],
+) -> PublishedAgain:
+    """Lift the scene of an audit again, and attack its releases together."""
+    assert found.seed is not None
+    kept = sum(len(trial) for trial in found.strongest)
+    with progress.task(f"lines of {releases} releases", total=releases * kept) as advance:
+
+        def counted(lines: list[LineCloud], fraction: float) -> Recovery:
+            recovery = attack(lines, fraction)
+            advance(sum(map(len, lines)))
+            return recovery
+
+        return PublishedAgain.of(scene, releases, found.fractions, found.seed, found.spacing, counted, drop)
+
+
 def _line_trials(
     lines: LineCloud, attackers: Sequence[Attacker], attack: _Recover, advance: Callable[[int], None]
 ) -> tuple[Trial, ...]:
@@ -364,8 +403,13 @@ def _estimated_spacing(trial: Trial) -> float:
         return float(np.ptp(trial.lines.origin, axis=0).max()) or 1.0
 
 
-def _attack(lines: LineCloud, fraction: float, *, method: str, settings: dict[str, Any], **where: Any) -> Recovery:
-    """Recover, then drop neighbours and affinities; pass the true fraction to attacks with that setting."""
+def _attack(
+    lines: LineCloud | list[LineCloud], fraction: float, *, method: str, settings: dict[str, Any], **where: Any
+) -> Recovery:
+    """Recover, from one release or several, then drop neighbours and affinities; pass the true fraction to attacks with
+    that setting."""
     known = {"fraction": fraction} if method in owners_of("fraction") else {}
+    if isinstance(lines, list):
+        return recover_releases(lines, method, **where, **known, **settings)
     recovery = recover(lines, method, **where, **known, **settings)
     return replace(recovery, neighbors=None, affinity=None)

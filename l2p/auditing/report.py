@@ -15,10 +15,11 @@ from l2p.auditing.audit import Audit
 from l2p.auditing.charts import charts
 from l2p.auditing.decision import decide
 from l2p.auditing.left_out import LeftOut
+from l2p.auditing.published_again import EXACT, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
 from l2p.auditing.tradeoff import ReleaseInputs, tradeoff
 from l2p.auditing.trial import Trial
-from l2p.auditing.words import sentences
+from l2p.auditing.words import sentences, times
 from l2p.io.atomic import atomic_folder
 from l2p.judging.accuracy import errors
 from l2p.judging.measure import Figure, Form, Need, figures
@@ -179,7 +180,8 @@ def _tables(audit: Audit) -> list[Table]:
         return [_predicted_table(audit)]
     left_out = [] if audit.left_out is None else [_left_out_table(audit, audit.left_out)]
     region = [] if audit.region is None else [_region_table(audit, audit.region)]
-    return [_measured_table(audit), *([_metric_table(audit)] if audit.metric else []), *left_out, *region]
+    again = [] if audit.again is None else [_again_table(audit.again)]
+    return [_measured_table(audit), *([_metric_table(audit)] if audit.metric else []), *again, *left_out, *region]
 
 
 def _measured_table(audit: Audit) -> Table:
@@ -219,6 +221,36 @@ def _region_table(audit: Audit, region: AskedRegion) -> Table:
     ]
     note = f"{count(region.points)} points of the map are in the region, by their true places, ids or masks."
     return _by_trial(audit, "The region", heads, rows, note)
+
+
+def _again_table(again: PublishedAgain) -> Table:
+    """What several releases give away together."""
+    heads = [
+        Head("Points in each release"),
+        Head("Lines"),
+        Head("Meet another of their point"),
+        Head("Recovered within", (f"{EXACT:g} spacings", "1 spacing")),
+        Head("Median error (spacings)"),
+        Head("Seconds"),
+    ]
+    rows = [
+        [
+            fraction(trial.fraction),
+            count(trial.lines),
+            percent(trial.met / trial.lines),
+            percent(trial.exact),
+            percent(trial.within),
+            "< 0.001" if trial.median < 0.001 else f"{trial.median:.3f}",
+            f"{trial.seconds:.1f}",
+        ]
+        for trial in again.trials
+    ]
+    note = (
+        f"The map is lifted {times(again.releases)}, with other directions and, below 100 %, other points each time. "
+        "The attacker sees the lines alone, of all releases, and does not know which belong together. The figures are "
+        "of the points of the first release: those that another release has too are given away."
+    )
+    return Table(f"Published {times(again.releases)}", heads, [Group("", rows)], note)
 
 
 def _left_out_table(audit: Audit, left_out: LeftOut) -> Table:

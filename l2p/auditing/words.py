@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from l2p.auditing.attackers import Attacker, named
 from l2p.auditing.audit import Audit
+from l2p.auditing.published_again import EXACT
 from l2p.auditing.trial import Trial
 from l2p.show.page.numbers import count, fraction, length, percent
 
@@ -15,7 +16,7 @@ def sentences(audit: Audit) -> list[str]:
     """Return all sentences, the headline first."""
     return [
         each
-        for make in (headline, unexpected, region, left_out, alone, savings, typical, sparser)
+        for make in (headline, again, unexpected, region, left_out, alone, savings, typical, sparser)
         if (each := make(audit))
     ]
 
@@ -61,6 +62,26 @@ def _knowledge(within: float, half: float) -> str:
     if half - within >= _TELLING:
         return f"the attacker has some idea which: the most confident half is right {percent(half)}"
     return f"the attacker can hardly tell which: the most confident half is right only {percent(half)}"
+
+
+def again(audit: Audit) -> str:
+    """What further releases of the map give away, at the largest fraction; empty if they were not asked about."""
+    if audit.again is None:
+        return ""
+    first = audit.again.trials[0]
+    return (
+        f"A map must be lifted once and for ever. If it is published {times(audit.again.releases)}, with fresh "
+        f"directions, {percent(first.exact)} of the points are recovered within {EXACT:g} spacings and "
+        f"{percent(first.within)} within 1, although nobody tells which lines belong together."
+    )
+
+
+def times(releases: int) -> str:
+    """
+    >>> times(2), times(3)
+    ('twice', '3 times')
+    """
+    return "twice" if releases == 2 else f"{releases} times"
 
 
 def region(audit: Audit) -> str:

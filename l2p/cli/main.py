@@ -137,7 +137,13 @@ def _add_lift(commands: Any) -> None:
 
 def _add_recover(commands: Any) -> None:
     recover = _command(commands, "recover", "recover the points behind a line cloud")
-    recover.add_argument("lines", metavar="LINES", help="line cloud: npz, PLY or OBJ line set, text of x y z dx dy dz")
+    recover.add_argument(
+        "lines",
+        metavar="LINES",
+        nargs="+",
+        help="line cloud: npz, PLY or OBJ line set, text of x y z dx dy dz; further ones are other releases of the "
+        "same map, in the same coordinates: their lines meet those of the first in its points",
+    )
     recover.add_argument(
         "-o",
         dest="output",
@@ -245,6 +251,13 @@ def _add_audit(commands: Any) -> None:
     _add_ignore(audit, "of the map")
     add_points(audit, "drop")
     add_points(audit, "region")
+    audit.add_argument(
+        "--releases",
+        type=int,
+        default=1,
+        metavar="R",
+        help="also tell what R releases of the map, each with directions of its own, give away together",
+    )
     audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
     add_decision(audit)
     audit.add_argument(

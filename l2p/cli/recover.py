@@ -1,4 +1,5 @@
-"""Command ``l2p recover``: on one process, or on several ranks; from the start, or from a finished round."""
+"""Command ``l2p recover``: on one process, or on several ranks; from the start, or from a finished round; from one line
+cloud, or from several releases of one map."""
 
 from __future__ import annotations
 
@@ -40,6 +41,7 @@ def recover(arguments: Namespace) -> None:
     """Run ``l2p recover`` alone, on ranks that are started here, or as one of the ranks of an external launcher."""
     from l2p.work.processes import among_others, joined, launch
 
+    _check_several(arguments, started_elsewhere=among_others())
     if arguments.processes not in (None, 1) and not among_others():
         _check_recover(arguments)
         code = launch(arguments.words, arguments.processes)
@@ -68,23 +70,39 @@ def _recover(arguments: Namespace, place: Place) -> None:
         )
     _check_recover(arguments)
     attack = _attack(arguments)
-    lines, ids = _recover_inputs(arguments)
+    releases, ids = _recover_inputs(arguments)
     set_threads(arguments.threads)
     state = StateFile(arguments.output, resume=arguments.resume, overwrite=arguments.force)
-    recovery = run(
-        lines,
-        attack,
-        device=place.device,
-        memory=arguments.memory,
-        work=Work(place.shards, state, terminal_progress()),
-        name=arguments.method,
-    )
+    if len(releases) > 1:
+        recovery = _recover_several(releases, arguments, place.device)
+    else:
+        recovery = run(
+            releases[0],
+            attack,
+            device=place.device,
+            memory=arguments.memory,
+            work=Work(place.shards, state, terminal_progress()),
+            name=arguments.method,
+        )
     _warn_of_lines(recovery)
     if arguments.seed is not None:
         recovery = replace(recovery, info={**recovery.info, "seed": arguments.seed})
     with _rounds_left(state):
         _write(recovery, ids, arguments)
     state.remove()
+
+
+def _recover_several(releases: list[LineCloud], arguments: Namespace, device: str) -> Recovery:
+    from l2p.attacks.several import recover_releases
+
+    return recover_releases(
+        releases,
+        arguments.method,
+        device=device,
+        memory=arguments.memory,
+        progress=terminal_progress(),
+        **settings_of(arguments),
+    )
 
 
 @contextmanager
@@ -119,12 +137,26 @@ def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments:
         _save(recovery, ids, arguments)
     if arguments.json != "-":
         print(f"{arguments.output}: {kept} of {len(recovery)} points, {recovery.info['seconds']:.1f} s")
+        if "met" in recovery.info:
+            other = "the other release" if len(recovery.info["releases"]) == 2 else "another release"
+            print(f"{recovery.info['met']:,} of {len(recovery):,} lines meet a line of {other} in their point")
+
+
+def _check_several(arguments: Namespace, started_elsewhere: bool) -> None:
+    """Refuse, for several releases, what only one can have: processes and rounds to resume."""
+    if len(arguments.lines) == 1:
+        return
+    for flag, given in (("--processes", arguments.processes not in (None, 1)), ("--resume", arguments.resume)):
+        if given:
+            raise InputError(f"got {flag} with {len(arguments.lines)} line clouds; expected it with one; leave it out")
+    if started_elsewhere:
+        raise InputError(f"got {len(arguments.lines)} line clouds in processes started elsewhere; expected one process")
 
 
 def _check_recover(arguments: Namespace) -> None:
     """Refuse wrong arguments before the lines are read."""
     model_output = _model_output(arguments)
-    given = (arguments.lines, arguments.model, arguments.truth, arguments.checkpoint)
+    given = (*arguments.lines, arguments.model, arguments.truth, arguments.checkpoint)
     inputs = [path for path in given if path is not None]
     outputs = [file_of(arguments.json)] if model_output else [arguments.output, file_of(arguments.json)]
     check_outputs(inputs, outputs, arguments.force)
@@ -164,11 +196,13 @@ def _attack(arguments: Namespace) -> Attack:
     return named_attack(arguments.method, **settings_of(arguments))
 
 
-def _recover_inputs(arguments: Namespace) -> tuple[LineCloud, Int[np.ndarray, " lines"] | None]:
-    """Read the lines, without ignored attributes, and, for a COLMAP model, the point id behind each."""
-    lines = load_lines(arguments.lines).without(arguments.ignore)
+def _recover_inputs(arguments: Namespace) -> tuple[list[LineCloud], Int[np.ndarray, " lines"] | None]:
+    """Read the releases, without ignored attributes, and, for a COLMAP model, the point id behind each line of the
+    first."""
+    releases = [load_lines(path).without(arguments.ignore) for path in arguments.lines]
     if arguments.model is None:
-        return lines, None
+        return releases, None
+    lines = releases[0]
     truth = load_truth(arguments.truth)
     ids = truth.ids
     if ids is None:
@@ -176,7 +210,7 @@ def _recover_inputs(arguments: Namespace) -> tuple[LineCloud, Int[np.ndarray, " 
     if len(ids) != len(lines) or not truth.one_each:
         raise InputError(f"got {len(lines)} lines and {len(ids)} ids; expected the truth of these very lines")
     check_ids(arguments.model, ids)
-    return lines, ids
+    return releases, ids
 
 
 def _filtered(recovery: Recovery, min_confidence: float | None, clean: bool) -> Recovery:
