@@ -1,4 +1,4 @@
-"""The table of schemes: what comes back of a map for each way to hide it, each attacker and each share of the points."""
+"""The table of schemes: what comes back of a map for each way to hide it, attacker and share of the points."""
 
 from __future__ import annotations
 

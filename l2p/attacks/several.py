@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 
 from l2p.attacks.attack import Attack
 from l2p.attacks.meetings import Meetings, meetings
+from l2p.attacks.named import named_attack
 from l2p.attacks.run import recover
 from l2p.attacks.settings import DEFAULT_METHOD, owners_of
 from l2p.errors import InputError
@@ -28,6 +29,7 @@ from l2p.geometry.points import nearest_neighbors
 from l2p.maps.appearance import ATTRIBUTES
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
+from l2p.schemes.recognition import recognise
 from l2p.work.progress import NO_PROGRESS, Progress
 
 #: The spacing of points is the median distance to so many neighbours (:func:`l2p.judging.accuracy.spacing`).
@@ -98,6 +100,10 @@ def recover_releases(
     if isinstance(method, str) and method in owners_of("fraction"):
         known["fraction"] = _share(settings.get("fraction"), [len(lines) for lines in common], pairs)
     alone = recover(_together(common), method, device=device, memory=memory, progress=progress, **known)
+    # Together they are recognised as several releases; each of them may be of uniform lines.
+    attack = method if isinstance(method, Attack) else named_attack(method, **known)
+    calibrated = attack.calibrated and all(recognise(lines).expected for lines in common)
+    alone = replace(alone, calibrated=calibrated)
     if not alone.one_each:
         raise InputError("got an attack that places several points on a line, or none; expected one point per line")
     count = len(common[0])

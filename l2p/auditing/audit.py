@@ -18,22 +18,19 @@ import torch
 from jaxtyping import Bool, Float
 
 from l2p.attacks.named import named_attack
-from l2p.attacks.run import recover
-from l2p.attacks.settings import DEFAULT_METHOD, owners_of
-from l2p.attacks.several import recover_releases
+from l2p.attacks.settings import DEFAULT_METHOD
 from l2p.auditing import FRACTIONS
-from l2p.auditing.attackers import Attacker, attackers_of, others
+from l2p.auditing.attackers import Attacker, attackers_of
+from l2p.auditing.attacking import estimated_spacing, lifted_trials, line_trials, recovered
 from l2p.auditing.left_out import LeftOut
 from l2p.auditing.published_again import MOST_RELEASES, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
-from l2p.auditing.trial import Prediction, Trial
+from l2p.auditing.trial import Trial
 from l2p.checks import check_fraction
 from l2p.errors import InputError
-from l2p.judging.accuracy import compare, spacing
-from l2p.judging.curves import SHARES, THRESHOLDS, measured_curves, predicted_curves
-from l2p.judging.measure import measured
+from l2p.judging.accuracy import spacing
+from l2p.judging.curves import SHARES, THRESHOLDS
 from l2p.judging.provenance import machine, versions
-from l2p.judging.scores import Scores
 from l2p.maps.appearance import ATTRIBUTES
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
@@ -46,8 +43,6 @@ from l2p.utility.queries import Queries
 from l2p.utility.releases import LocalizeConfig, localize_hidden
 from l2p.work.progress import NO_PROGRESS, Progress
 
-#: Recovers lines that hold a fraction of the map's points.
-_Recover = Callable[[LineCloud, float], Recovery]
 #: Version of the layout of ``audit.json``, written into it.
 AUDIT_VERSION = 4
 
@@ -274,11 +269,11 @@ def audit(
     published = scene.appearance.without(ignore)
     attackers = attackers_of(named_attack(method, **settings), published)
     ignored = tuple(attribute for attribute in ATTRIBUTES if attribute in ignore)
-    attack = partial(_attack, method=method, device=device, memory=memory, progress=progress, settings=settings)
+    attack = partial(recovered, method=method, device=device, memory=memory, progress=progress, settings=settings)
     if isinstance(scene, LineCloud):
         with _task(progress, [len(scene)], attackers) as advance:
-            trials = _line_trials(scene, attackers, attack, advance)
-        scale = _estimated_spacing(trials[0])
+            trials = line_trials(scene, attackers, attack, advance)
+        scale = estimated_spacing(trials[0])
         return Audit(name, len(scene), scale, trials, method, None, metric, None, published.names, ignored)
     wanted = _fractions(FRACTIONS if fractions is None else fractions)
     if region is not None and (region.shape != (len(scene),) or not region.any()):
@@ -288,7 +283,7 @@ def audit(
     trials = ()
     with _task(progress, [max(1, round(kept * share)) for share in wanted], attackers) as advance:
         for share in wanted:
-            trials = (*_trials(scene, drop, share, seed, scale, attackers, attack, metric, advance), *trials)
+            trials = (*lifted_trials(scene, drop, share, seed, scale, attackers, attack, metric, advance), *trials)
     pairs = [(trial.recovery, trial.truth) for trial in trials if trial.truth is not None]
     found = Audit(
         name,
@@ -333,32 +328,6 @@ def _task(
     return progress.task(name, total=sum(lines) * len(attackers))
 
 
-def _trials(
-    scene: Scene,
-    drop: Bool[np.ndarray, " points"] | None,
-    fraction: float,
-    seed: int,
-    scale: float,
-    attackers: Sequence[Attacker],
-    attack: _Recover,
-    metric: bool,
-    advance: Callable[[int], None],
-) -> list[Trial]:
-    """Lift a fraction of the scene once, attack it as each attacker, and score the recoveries."""
-    used = attackers[0]
-    hidden = hide(scene, seed, fraction, rgb="rgb" in used, descriptor="descriptor" in used, drop=drop)
-    truth = replace(hidden.truth, spacing=scale)
-    rgb = None if scene.rgb is None else scene.rgb[truth.index]
-    bare, trials = hidden.map.without(ATTRIBUTES), []
-    for attacker in attackers:
-        recovery = attack(hidden.map.without(others(attacker)), fraction)
-        found = compare(recovery, truth, metric=metric)
-        scores, curves = Scores(measured(found)), measured_curves(found)
-        trials.append(Trial(fraction, attacker, bare, recovery, truth, rgb, scores, Prediction.of(recovery), curves))
-        advance(len(bare))
-    return trials
-
-
 def _again(
     found: Audit,
     scene: Scene,
@@ -378,38 +347,3 @@ def _again(
             return recovery
 
         return PublishedAgain.of(scene, releases, found.fractions, found.seed, found.spacing, counted, drop)
-
-
-def _line_trials(
-    lines: LineCloud, attackers: Sequence[Attacker], attack: _Recover, advance: Callable[[int], None]
-) -> tuple[Trial, ...]:
-    """Attack a line cloud whose points are unknown as each attacker."""
-    bare, trials = lines.without(ATTRIBUTES), []
-    for attacker in attackers:
-        recovery = attack(lines.without(others(attacker)), 1.0)
-        prediction, curves = Prediction.of(recovery), predicted_curves(recovery)
-        trials.append(Trial(1.0, attacker, bare, recovery, None, lines.rgb, None, prediction, curves))
-        advance(len(lines))
-    return tuple(trials)
-
-
-def _estimated_spacing(trial: Trial) -> float:
-    """Spacing of the recovered points; of points that coincide, as of lines through one centre, the size of the map."""
-    try:
-        return spacing(trial.recovery.xyz)
-    except InputError:
-        if trial.recovery.info["recognised"]["expected"]:
-            raise
-        return float(np.ptp(trial.lines.origin, axis=0).max()) or 1.0
-
-
-def _attack(
-    lines: LineCloud | list[LineCloud], fraction: float, *, method: str, settings: dict[str, Any], **where: Any
-) -> Recovery:
-    """Recover, from one release or several, then drop neighbours and affinities; pass the true fraction to attacks with
-    that setting."""
-    known = {"fraction": fraction} if method in owners_of("fraction") else {}
-    if isinstance(lines, list):
-        return recover_releases(lines, method, **where, **known, **settings)
-    recovery = recover(lines, method, **where, **known, **settings)
-    return replace(recovery, neighbors=None, affinity=None)

@@ -31,7 +31,7 @@ DECLARED = "declared scheme"
 
 UNKNOWN = "unknown"
 #: Added to the sentence where a recovery is reported.
-NOT_STATED = "The confidence only ranks points: the attack was not calibrated on such lines, so no probability is stated."
+NOT_STATED = "The confidence only ranks points: the attack was not calibrated on such lines. No probability is stated."
 #: Fewer lines than this are called few: only gross departures from uniform lines show.
 FEW = 100
 #: Directions are not uniform beyond this value of S, which uniform directions exceed once in a million clouds: the
