@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from l2p.io.files import load, save
     from l2p.judging.scores import evaluate
     from l2p.maps.lines import LineCloud
+    from l2p.maps.permuted import PermutedCloud
+    from l2p.maps.planes import PlaneCloud
     from l2p.maps.recovery import Recovery
     from l2p.maps.scene import Scene
     from l2p.maps.truth import Hiding, Truth
@@ -38,6 +40,8 @@ _HOME = {
     "InputError": "l2p.errors",
     "LineCloud": "l2p.maps.lines",
     "Localization": "l2p.utility.localization",
+    "PermutedCloud": "l2p.maps.permuted",
+    "PlaneCloud": "l2p.maps.planes",
     "Recovery": "l2p.maps.recovery",
     "Scene": "l2p.maps.scene",
     "Truth": "l2p.maps.truth",

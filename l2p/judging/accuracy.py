@@ -175,7 +175,10 @@ def compare(
 
 
 def _scale(truth: Truth) -> float:
-    return spacing(truth.xyz) if truth.spacing is None else truth.spacing
+    if truth.spacing is not None:
+        return truth.spacing
+    # A point that several elements hide counts once.
+    return spacing(truth.xyz[np.unique(truth.index, return_index=True)[1]])
 
 
 def _distance(recovery: Recovery, truth: Truth, row: Int[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:

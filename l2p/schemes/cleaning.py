@@ -18,14 +18,14 @@ def without_outliers(points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, "
     need Open3D: a point goes if the mean distance to its 20 nearest points, itself included, is more than 10 standard
     deviations above the mean of all, or 0. Fewer than three points are all kept: they have no usual distance.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     kept = np.arange(len(points))
     for _ in range(_TIMES):
         if len(kept) < 3:
             break
         some = points[kept]
-        distance = cKDTree(some).query(some, k=min(_NEIGHBORS, len(some)))[0].mean(axis=1)
+        distance = KDTree(some).query(some, k=min(_NEIGHBORS, len(some)))[0].mean(axis=1)
         usual = distance <= distance.mean() + _DEVIATIONS * distance.std(ddof=1)
         kept = kept[usual & (distance > 0)]
     return kept

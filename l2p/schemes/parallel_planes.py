@@ -19,6 +19,7 @@ class Planes:
 
     name = "planes"
     answers = 1
+    publishes = PlaneCloud
     #: Axes of the servers.
     axes: tuple[int, ...] = (0,)
 

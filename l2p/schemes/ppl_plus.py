@@ -113,9 +113,9 @@ def accepted_pairs(
 
 def _scatter(xyz: Float[np.ndarray, "points 3"], neighbors: int) -> Float[np.ndarray, "points 3 3"]:
     """Sum of v v^T over the vectors v from each point to its nearest ones."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    tree, scatter = cKDTree(xyz), np.empty((len(xyz), 3, 3))
+    tree, scatter = KDTree(xyz), np.empty((len(xyz), 3, 3))
     for start in range(0, len(xyz), _BLOCK):
         some = xyz[start : start + _BLOCK]
         nearest = tree.query(some, k=neighbors + 1)[1][:, 1:]

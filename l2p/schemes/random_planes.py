@@ -20,6 +20,7 @@ class RandomPlanes:
 
     name = "planes-random"
     answers = 1
+    publishes = PlaneCloud
 
     def hide(
         self,

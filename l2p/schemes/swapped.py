@@ -27,6 +27,7 @@ class Permuted:
 
     name = "permuted"
     answers = 1
+    publishes = PermutedCloud
 
     def hide(
         self,
