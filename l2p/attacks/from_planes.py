@@ -78,9 +78,7 @@ class PlanesConfig:
             raise InputError(f"got inside {self.inside}; expected a share in (0, 1]")
 
 
-def recover_planes(
-    cloud: PlaneCloud, config: PlanesConfig | None = None, progress: Progress = NO_PROGRESS
-) -> Recovery:
+def recover_planes(cloud: PlaneCloud, config: PlanesConfig | None = None, progress: Progress = NO_PROGRESS) -> Recovery:
     """Recover one point per plane.
 
     Parameters

@@ -23,6 +23,7 @@ from l2p.auditing import FRACTIONS
 from l2p.auditing.attackers import Attacker, attackers_of
 from l2p.auditing.attacking import estimated_spacing, lifted_trials, line_trials, recovered
 from l2p.auditing.left_out import LeftOut
+from l2p.auditing.other_schemes import OtherSchemes, attacks_of
 from l2p.auditing.published_again import MOST_RELEASES, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
 from l2p.auditing.trial import Trial
@@ -38,6 +39,7 @@ from l2p.maps.region import kept_rows
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
+from l2p.schemes.scheme import scheme_of
 from l2p.utility.localization import Localization
 from l2p.utility.queries import Queries
 from l2p.utility.releases import LocalizeConfig, localize_hidden
@@ -82,6 +84,8 @@ class Audit:
         Images of the map, localized in its releases; None without queries.
     undropped : Localization or None
         The same at the largest fraction if no point were left out; None if none was.
+    others : OtherSchemes or None
+        Attacks on the map hidden by other schemes; None if none was asked for.
     again : PublishedAgain or None
         What several releases of the map give away together; None if only one was asked about.
     """
@@ -100,6 +104,7 @@ class Audit:
     region: AskedRegion | None = None
     localization: Localization | None = None
     undropped: Localization | None = None
+    others: OtherSchemes | None = None
     again: PublishedAgain | None = None
 
     @property
@@ -165,6 +170,7 @@ class Audit:
             "ignored": list(self.ignored),
             "left_out": None if self.left_out is None else self.left_out.as_dict(),
             "region": None if self.region is None else self.region.as_dict(),
+            "other_schemes": None if self.others is None else self.others.as_dict(),
             "published_again": None if self.again is None else self.again.as_dict(),
             "versions": versions(),
             "machine": {**machine(), "threads": torch.get_num_threads()},
@@ -184,6 +190,7 @@ def audit(
     ignore: Collection[str] = (),
     drop: Bool[np.ndarray, " points"] | None = None,
     region: Bool[np.ndarray, " points"] | None = None,
+    schemes: Sequence[str] = (),
     releases: int = 1,
     metric: bool = False,
     device: str = "cpu",
@@ -217,6 +224,9 @@ def audit(
         have something within 1 spacing that is still there. Not with a line cloud.
     region : (points,) bool, optional
         True for each point of a region: the audit also says how much comes back of it. Not with a line cloud.
+    schemes : sequence of str
+        Other ways to hide the map (:data:`l2p.schemes.scheme.SCHEMES`), compared at the same fractions, each against the
+        attack that knows it. Not with a line cloud.
     releases : int
         2 or more: the audit also says what so many releases, with other directions each, give away together by their
         lines alone (:func:`l2p.recover_releases`). Not with a line cloud.
@@ -263,6 +273,10 @@ def audit(
         raise InputError(
             "got releases for a line cloud; expected them with a scene; l2p recover takes several line clouds"
         )
+    if isinstance(scene, LineCloud) and schemes:
+        raise InputError("got schemes for a line cloud; expected them with a scene, which each of them can hide")
+    for scheme in schemes:
+        scheme_of(scheme)
     if not 1 <= releases <= MOST_RELEASES:
         raise InputError(f"got {releases} releases; expected 1 to {MOST_RELEASES}")
     scene = scene if isinstance(scene, LineCloud | Scene) else Scene(scene)
@@ -299,6 +313,8 @@ def audit(
         None if drop is None else LeftOut.of(scene.xyz[drop], pairs, scale),
         None if region is None else AskedRegion.of(region, trials, scale),
     )
+    if schemes:
+        found = replace(found, others=_others(found, scene, drop, schemes, progress, attack))
     if releases > 1:
         found = replace(found, again=_again(found, scene, drop, releases, progress, attack))
     if queries is None:
@@ -307,7 +323,8 @@ def audit(
     localized_in = partial(localize_hidden, queries, config=config, metric=metric, progress=progress, name=name)
     whole = None if drop is None else localized_in({largest: hide(scene, seed, largest)})
     published = {trial.fraction: Hiding(trial.lines, trial.truth) for trial in trials if trial.truth is not None}
-    return replace(found, localization=localized_in(published), undropped=whole)
+    beside = None if found.others is None else found.others.hidden
+    return replace(found, localization=localized_in(published, others=beside), undropped=whole)
 
 
 def _fractions(wanted: Sequence[float]) -> list[float]:
@@ -326,6 +343,27 @@ def _task(
     attacks = len(lines) * len(attackers)
     name = f"lines of {attacks} attacks" if attacks > 1 else "lines attacked"
     return progress.task(name, total=sum(lines) * len(attackers))
+
+
+def _others(
+    found: Audit,
+    scene: Scene,
+    drop: Bool[np.ndarray, " points"] | None,
+    schemes: Sequence[str],
+    progress: Progress,
+    attack: Callable[[Any, float], Recovery],
+) -> OtherSchemes:
+    """Hide the scene of an audit by other schemes, and attack it."""
+    assert found.seed is not None
+    wanted, used = [name for name in dict.fromkeys(schemes) if name != found.scheme], found.attackers[0]
+    with progress.task("attacks on other schemes", total=attacks_of(wanted, found.fractions, used)) as advance:
+
+        def counted(hidden: Any, fraction: float) -> Recovery:
+            recovery = attack(hidden, fraction)
+            advance(1)
+            return recovery
+
+        return OtherSchemes.of(scene, wanted, found.fractions, found.seed, found.spacing, used, counted, drop)
 
 
 def _again(

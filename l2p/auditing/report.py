@@ -5,18 +5,19 @@ from __future__ import annotations
 import datetime
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any
 
 from l2p.auditing.attackers import named, others, seen_by
 from l2p.auditing.audit import Audit
 from l2p.auditing.charts import charts
 from l2p.auditing.decision import decide
 from l2p.auditing.left_out import LeftOut
+from l2p.auditing.page_table import Group, Head, Row, Table
 from l2p.auditing.published_again import EXACT, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
+from l2p.auditing.scheme_comparison import comparison_chart, comparison_table
 from l2p.auditing.tradeoff import ReleaseInputs, tradeoff
 from l2p.auditing.trial import Trial
 from l2p.auditing.words import sentences, times
@@ -38,49 +39,6 @@ _FORMS: dict[Form, Callable[[Any], str]] = {
     Form.SHARE: percent,
     Form.NUMBER: "{:.3f}".format,
 }
-
-
-#: Cells of a row of a table; the first is its heading.
-Row = Sequence[str]
-
-
-class Head(NamedTuple):
-    """Heading of one column, or of several whose own headings are ``under`` it."""
-
-    text: str
-    under: tuple[str, ...] = ()
-
-
-class Group(NamedTuple):
-    """Rows of a table under a heading of their own, which may be empty."""
-
-    heading: str
-    rows: Sequence[Row]
-
-
-@dataclass(frozen=True)
-class Table:
-    """Table of the page."""
-
-    heading: str
-    heads: Sequence[Head]
-    groups: Sequence[Group]
-    note: str
-
-    @property
-    def rows(self) -> list[Row]:
-        """Rows of all groups."""
-        return [row for group in self.groups for row in group.rows]
-
-    @property
-    def columns(self) -> int:
-        """Number of columns."""
-        return sum(len(head.under) or 1 for head in self.heads)
-
-    @property
-    def grouped(self) -> bool:
-        """Whether the headings need two rows."""
-        return any(head.under for head in self.heads)
 
 
 def save_report(
@@ -150,7 +108,7 @@ def report_page(
         tables=_tables(audit),
         tradeoff=None if decision is None else tradeoff(audit, decision, release),
         unlocalized=release.unlocalized,
-        charts=charts(audit),
+        charts=[*([] if audit.others is None else [comparison_chart(audit, audit.others)]), *charts(audit)],
         spacing=length(audit.spacing, audit.metric),
         seconds=_duration(audit.trials[0].seconds),
         own_colors=audit.trials[0].rgb is not None and "rgb" not in used,
@@ -181,7 +139,9 @@ def _tables(audit: Audit) -> list[Table]:
     left_out = [] if audit.left_out is None else [_left_out_table(audit, audit.left_out)]
     region = [] if audit.region is None else [_region_table(audit, audit.region)]
     again = [] if audit.again is None else [_again_table(audit.again)]
-    return [_measured_table(audit), *([_metric_table(audit)] if audit.metric else []), *again, *left_out, *region]
+    metric = [_metric_table(audit)] if audit.metric else []
+    others = [] if audit.others is None else [comparison_table(audit, audit.others)]
+    return [_measured_table(audit), *metric, *others, *again, *left_out, *region]
 
 
 def _measured_table(audit: Audit) -> Table:

@@ -16,6 +16,7 @@ from l2p.cli.scheme_flags import add_scheme, scheme_table
 from l2p.errors import InputError, LostProcessError, sentence
 from l2p.judging import CLEANING
 from l2p.maps import ATTRIBUTES
+from l2p.schemes.scheme import SCHEMES
 from l2p.show.page import MOST_POINTS
 from l2p.version import __version__
 from l2p.work.memory import SHARE
@@ -246,6 +247,14 @@ def _add_audit(commands: Any) -> None:
     _add_ignore(audit, "of the map")
     add_points(audit, "drop")
     add_points(audit, "region")
+    audit.add_argument(
+        "--schemes",
+        nargs="+",
+        default=[],
+        choices=tuple(SCHEMES),
+        metavar="NAME",
+        help="other ways to hide the map, to compare: names of l2p lift --scheme",
+    )
     audit.add_argument(
         "--releases",
         type=int,

@@ -216,14 +216,20 @@ def localize_hidden(
     metric: bool = False,
     progress: Progress = NO_PROGRESS,
     name: str = "map",
+    others: Mapping[tuple[str, float], Hiding] | None = None,
 ) -> Localization:
-    """Localize queries in hidden maps, by fraction, and in their points as they are."""
+    """Localize queries in hidden maps, by fraction, in their points as they are, and in the lines of ``others``.
+
+    Other maps are given by scheme and fraction.
+    """
     poselib()
     releases = [
         make(each, fraction, queries.points)
         for fraction, each in hidden.items()
         for make in (Release.of_points, Release.of_lines)
     ]
+    for (_, fraction), each in (others or {}).items():
+        releases.append(Release.of_lines(each, fraction, queries.points))
     return _localization(queries, releases, config, metric, progress, name)
 
 
