@@ -16,7 +16,7 @@ _SHARE = Column("within 1 spacing", "within_1", arithmetic_mean, percent)
 _MEDIAN = Column("median", "median_spacings", geometric_mean, decimals)
 _FURTHER = (
     Column("both points of a line", "both_within_1", arithmetic_mean, percent),
-    Column("real told from fake (AUC)", "real_auc", arithmetic_mean, decimals),
+    Column("real told from fake (AUC)", "fakes_auc", arithmetic_mean, decimals),
     Column("position, released (%)", "lines_position", geometric_mean, decimals),
     Column("localized, released", "lines_localized", arithmetic_mean, percent),
 )

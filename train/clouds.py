@@ -15,10 +15,9 @@ from l2p.attacks.attack import Elements, attributes_of
 from l2p.attacks.learned.embedding import Embedding
 from l2p.attacks.learned.learned import Learned, State
 from l2p.attacks.learned.nodes import Nodes
-from l2p.attacks.structured import expanded, structure_of
+from l2p.attacks.structured import expanded, frame_of, structure_of
 from l2p.attacks.tomography.posterior import Posterior
 from l2p.attacks.tomography.reconstruct import reconstruct
-from l2p.geometry.frame import Frame
 from l2p.geometry.points import nearest_neighbors
 from l2p.judging.accuracy import spacing
 from l2p.maps.appearance import UNKNOWN_KIND
@@ -124,7 +123,8 @@ def lifted(
         descriptor=descriptor,
         descriptor_kind=None if descriptor is None else UNKNOWN_KIND if source.unknown else scene.descriptor_kind,
     )
-    frame, recognition = Frame.of(hidden.map), recognise(hidden.map)
+    recognition = recognise(hidden.map)
+    frame = frame_of(hidden.map, source.scheme, recognition)
     lines, row = expanded(hidden.map, source.scheme)
     truth, structure = _behind(hidden, row), structure_of(lines, source.scheme, recognition, frame, device)
     inside = frame.enter(lines, device)

@@ -18,7 +18,7 @@ from l2p.attacks.attack import Attack, Elements, Estimate, locate
 from l2p.attacks.named import named_attack
 from l2p.attacks.settings import DEFAULT_METHOD
 from l2p.attacks.structure import Structure
-from l2p.attacks.structured import expanded, structure_of
+from l2p.attacks.structured import expanded, frame_of, structure_of
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
@@ -122,10 +122,10 @@ def run(
     began = time.perf_counter()
     work.shards.check(len(lines))
     work.journal.begin(_about(lines, attack, name))
-    frame, recognised = Frame.of(lines), recognise(lines)
+    recognised = recognise(lines)
     known = recognised.scheme if recognised.scheme in attack.schemes else DEFAULT_SCHEME
     single, line = expanded(lines, known)
-    attack = attack.for_scheme(known)
+    attack, frame = attack.for_scheme(known), frame_of(lines, known, recognised)
     with torch.inference_mode():
         structure = structure_of(single, known, recognised, frame, where)
         elements = Elements.sorted(frame.enter(single, where), frame, single.appearance, structure)

@@ -39,6 +39,19 @@ def expanded(lines: LineCloud, scheme: str) -> tuple[LineCloud, Int[np.ndarray, 
     return replace(twice, rgb=both.rgb, descriptor=both.descriptor), row
 
 
+def frame_of(lines: LineCloud, scheme: str, recognition: Recognition) -> Frame:
+    """Working frame of lines that are attacked as those of a scheme.
+
+    More than half of the lines may pass through one centre, which then is the point nearest to all lines, at a median
+    distance of 0: centres give a frame of their own.
+    """
+    if scheme != "rays":
+        return Frame.of(lines)
+    centers = recognition.centers
+    apart = np.linalg.norm(centers[:, None] - centers, axis=2)
+    return Frame.about(lines, centers.mean(axis=0), float(apart.max()))
+
+
 def structure_of(
     lines: LineCloud,
     scheme: str,

@@ -225,8 +225,8 @@ def audit(
     region : (points,) bool, optional
         True for each point of a region: the audit also says how much comes back of it. Not with a line cloud.
     schemes : sequence of str
-        Other ways to hide the map (:data:`l2p.schemes.scheme.SCHEMES`), compared at the same fractions, each against the
-        attack that knows it. Not with a line cloud.
+        Other ways to hide the map (:data:`l2p.schemes.scheme.SCHEMES`) to compare at the same fractions, each against
+        the attack that knows it. Not with a line cloud.
     releases : int
         2 or more: the audit also says what so many releases, with other directions each, give away together by their
         lines alone (:func:`l2p.recover_releases`). Not with a line cloud.

@@ -102,7 +102,9 @@ class OtherSchemes:
                 for attacker in dict.fromkeys((used, ())):
                     recovery = attack(hidden.map.without(others(attacker)), fraction)
                     found = measured(compare(recovery, hidden.truth, scale))
-                    figures = (found[name] for name in ("within_1", "median_spacings", "both_within_1", "real_auc"))
+                    figures = (
+                        found.get(name) for name in ("within_1", "median_spacings", "both_within_1", "fakes_auc")
+                    )
                     within, median, both, real = figures
                     assert within is not None and median is not None
                     seconds = float(recovery.info["seconds"])

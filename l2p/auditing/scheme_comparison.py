@@ -89,8 +89,8 @@ def comparison_chart(audit: Audit, others: OtherSchemes) -> Chart:
     ends = "; ".join(f"{scheme}: {percent(share)}" for scheme, share in best.items())
     return Chart(
         "What does each way of hiding give away?",
-        f"Share of the published points that come back within 1 spacing, if {fraction(largest)} of the map are hidden by "
-        "each scheme and attacked by the attack that knows it. Further to the right means that more is given away.",
+        f"Share of the published points that come back within 1 spacing, if {fraction(largest)} of the map are hidden "
+        "by each scheme and attacked by the attack that knows it. Further to the right means that more is given away.",
         f"A mark for each scheme and attacker. The most that comes back: {ends}.",
         svg("schemes", draw),
     )

@@ -15,13 +15,12 @@ from jaxtyping import Float, Int
 from l2p.errors import InputError
 from l2p.geometry.frame import Frame
 from l2p.maps.lines import LineCloud
+from l2p.schemes.recognition import ONE_CENTRE, recognise
 from l2p.utility.queries import Pose
 
 #: Distance of a line's origin from its foot, in units of the frame. poselib's six-point solver drops poses with a point
 #: behind the origin of its line, so all points have to be in front of it.
 _REACH = 100.0
-#: Distance from a common point that counts as rounding, in units of the frame.
-_SAME = 1e-6
 #: The axis that poselib's upright solvers take for gravity.
 _UPRIGHT = np.array([0.0, 1.0, 0.0])
 
@@ -187,7 +186,7 @@ class LineLandmarks(_InFrame):
         # poselib wants points of the lines; the sign of a direction has no meaning.
         self.foot = np.cross(self.direction, self.moment)
         self.origin = self.foot - _REACH * self.direction
-        if _meet(self.foot, self.direction):
+        if recognise(lines).kind == ONE_CENTRE:
             raise InputError(
                 f"got {len(lines)} lines that all meet in one point; expected others, since the distance of a camera "
                 "from that point does not follow from them"
@@ -246,17 +245,6 @@ def poselib() -> Any:
     except ImportError as error:
         raise InputError("localization needs the package poselib; install it: pip install 'l2p[utility]'") from error
     return solvers
-
-
-def _meet(point: Float[np.ndarray, "lines 3"], direction: Float[np.ndarray, "lines 3"]) -> bool:
-    """Whether all lines, three or more, meet in one point, up to rounding; in units of the frame."""
-    if len(point) < 3:
-        return False
-    # Across each line, the common point c has the place of the line: (I - d d^T) c = p.
-    across = len(point) * np.eye(3) - direction.T @ direction
-    common = np.linalg.lstsq(across, point.sum(axis=0), rcond=None)[0]
-    off = common - point - np.sum((common - point) * direction, axis=1, keepdims=True) * direction
-    return bool(np.abs(off).max() < _SAME)
 
 
 def _stacked(poses: list[Any]) -> Poses:
