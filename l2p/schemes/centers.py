@@ -9,7 +9,7 @@ from l2p.errors import InputError
 from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
 from l2p.maps.truth import Hiding, Truth
-from l2p.schemes.rounding import directions
+from l2p.schemes.rounding import directions, within_lattice
 from l2p.schemes.uniform import half_space
 
 #: Starts of k-means, of which the best counts; as in the authors' code.
@@ -24,7 +24,7 @@ def two_centers(points: Float[np.ndarray, "points 3"], rng: np.random.Generator)
     Parameters
     ----------
     points : (points, 3) float64
-        Scene units.
+        Scene units; not all at one place.
     rng : numpy.random.Generator
         Draws the starts, each of two different points.
 
@@ -32,15 +32,9 @@ def two_centers(points: Float[np.ndarray, "points 3"], rng: np.random.Generator)
     -------
     (2, 3) float64
         Scene units, in no order.
-
-    Raises
-    ------
-    InputError
-        If all points are the same.
     """
     from scipy.cluster.vq import kmeans
 
-    check_different(points)
     middle = points.mean(axis=0)
     unit = np.abs(points - middle).max()
     scaled = (points - middle) / unit
@@ -53,10 +47,13 @@ def two_centers(points: Float[np.ndarray, "points 3"], rng: np.random.Generator)
     return middle + unit * min(found, key=lambda each: each[1])[0]
 
 
-def check_different(points: Float[np.ndarray, "points 3"]) -> None:
-    """Refuse points that are all the same: their centre would be the point itself."""
-    if (points == points[0]).all():
-        raise InputError(f"got {len(points)} point(s) at one place; expected two different ones, to find centres")
+def moved_points(
+    points: Float[np.ndarray, "points 3"], chosen: Int[np.ndarray, " chosen"], rng: np.random.Generator
+) -> Float[np.ndarray, "chosen 3"]:
+    """Move the chosen points within their lattice cells; InputError if they are all at one place, their own centre."""
+    if (points[chosen] == points[chosen[0]]).all():
+        raise InputError(f"got {len(chosen)} point(s) at one place; expected two different ones, to find centres")
+    return within_lattice(points, chosen, rng)
 
 
 def lines_to_centers(

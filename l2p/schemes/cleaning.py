@@ -24,7 +24,8 @@ def without_outliers(points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, "
     for _ in range(_TIMES):
         if len(kept) < 3:
             break
-        some = points[kept]
+        some = points[kept] - points[kept].mean(axis=0)
+        some = some / (np.abs(some).max() or 1.0)  # squares of tiny numbers would be 0
         distance = KDTree(some).query(some, k=min(_NEIGHBORS, len(some)))[0].mean(axis=1)
         usual = distance <= distance.mean() + _DEVIATIONS * distance.std(ddof=1)
         kept = kept[usual & (distance > 0)]

@@ -7,8 +7,7 @@ from jaxtyping import Float, Int
 
 from l2p.maps.appearance import Appearance
 from l2p.maps.truth import Hiding
-from l2p.schemes.centers import lines_to_centers, two_centers
-from l2p.schemes.rounding import within_lattice
+from l2p.schemes.centers import lines_to_centers, moved_points, two_centers
 
 
 class HalfSpace:
@@ -34,7 +33,7 @@ class HalfSpace:
         appearance: Appearance,
     ) -> Hiding:
         """Find the side of each point; InputError if all points are the same."""
-        moved = within_lattice(points, chosen, rng)
+        moved = moved_points(points, chosen, rng)
         first, second = two_centers(moved, rng)
         beyond = (moved - (first + second) / 2) @ (second - first) > 0
         own = np.where(beyond[:, None], second, first)

@@ -118,7 +118,7 @@ def _scatter(xyz: Float[np.ndarray, "points 3"], neighbors: int) -> Float[np.nda
     tree, scatter = KDTree(xyz), np.empty((len(xyz), 3, 3))
     for start in range(0, len(xyz), _BLOCK):
         some = xyz[start : start + _BLOCK]
-        nearest = tree.query(some, k=neighbors + 1)[1][:, 1:]
+        nearest = np.asarray(tree.query(some, k=neighbors + 1)[1])[:, 1:]
         vector = xyz[nearest] - some[:, None]
         scatter[start : start + _BLOCK] = vector.swapaxes(1, 2) @ vector
     return scatter

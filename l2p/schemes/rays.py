@@ -7,8 +7,7 @@ from jaxtyping import Float, Int
 
 from l2p.maps.appearance import Appearance
 from l2p.maps.truth import Hiding
-from l2p.schemes.centers import lines_to_centers, two_centers
-from l2p.schemes.rounding import within_lattice
+from l2p.schemes.centers import lines_to_centers, moved_points, two_centers
 
 
 class Rays:
@@ -29,7 +28,7 @@ class Rays:
         appearance: Appearance,
     ) -> Hiding:
         """Draw a centre for each point; InputError if all points are the same."""
-        moved = within_lattice(points, chosen, rng)
+        moved = moved_points(points, chosen, rng)
         centers = two_centers(moved, rng)
         own = centers[rng.integers(2, size=len(chosen))]
         return lines_to_centers(points, chosen, moved, own, rng, appearance, self.name)

@@ -8,8 +8,7 @@ from jaxtyping import Float, Int
 from l2p.errors import InputError
 from l2p.maps.appearance import Appearance
 from l2p.maps.truth import Hiding
-from l2p.schemes.centers import lines_to_centers, two_centers
-from l2p.schemes.rounding import within_lattice
+from l2p.schemes.centers import lines_to_centers, moved_points, two_centers
 
 #: Side of a cell in a map of unknown unit, as a share of the largest side of the box of its middle points: the
 #: authors' half metre in a room of ten metres.
@@ -48,7 +47,7 @@ class RaysVoxel:
         appearance: Appearance,
     ) -> Hiding:
         """Find the cell of each point; InputError if all points are the same."""
-        moved = within_lattice(points, chosen, rng)
+        moved = moved_points(points, chosen, rng)
         centers = two_centers(moved, rng)
         own = centers[parity(moved, self.cell or cell_of(moved))]
         return lines_to_centers(points, chosen, moved, own, rng, appearance, self.name)

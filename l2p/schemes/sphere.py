@@ -9,8 +9,8 @@ from l2p.errors import InputError
 from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
 from l2p.maps.truth import Hiding, Truth
-from l2p.schemes.centers import check_different
-from l2p.schemes.rounding import directions, within_lattice
+from l2p.schemes.centers import moved_points
+from l2p.schemes.rounding import directions
 
 #: Standard deviation of each component of the noise that makes a fake of a unit vector.
 _NOISE = 0.1
@@ -45,8 +45,7 @@ class Sphere:
         rays = len(chosen) // (1 + self.fakes)
         if rays == 0:
             raise InputError(f"got {len(chosen)} point(s) for {self.name}; expected at least {1 + self.fakes}")
-        moved = within_lattice(points, chosen, rng)
-        check_different(moved)
+        moved = moved_points(points, chosen, rng)
         center = np.broadcast_to(moved.mean(axis=0), moved.shape)
         order = rng.permutation(len(chosen))[: rays * (1 + self.fakes)]
         true, recycled = order[:rays], order[rays:]
