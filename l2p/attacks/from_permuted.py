@@ -38,7 +38,8 @@ class PermutedConfig:
     Attributes
     ----------
     side : int
-        Cells along each axis at first; twice as many, and then four times as many, later.
+        Cells along each axis at first; twice as many later, and without appearances four times as many in the end (a
+        grid for each class of appearance would take too long).
     steps : int
         Steps of expectation maximisation at each resolution.
     classes : int
@@ -51,7 +52,7 @@ class PermutedConfig:
         Neighbours by likeness whose stored coordinates vote in the baseline; 0: no baseline.
     """
 
-    side: int = 24
+    side: int = 32
     steps: int = 8
     classes: int = 16
     strength: float = 2.0
@@ -146,8 +147,9 @@ def _densest(
     """The centre of mass of the window of most mass on the three lines of each point, and that mass."""
     box, side, count = Box.of(stored), config.side, len(stored)
     density, bins = flat(classes, side), box.bins(stored, side)
-    with progress.task("density of permuted points", 3 * config.steps * count) as advance:
-        for level in range(3):
+    levels = 3 if len(classes.ratio) == 1 else 2
+    with progress.task("density of permuted points", levels * config.steps * count) as advance:
+        for level in range(levels):
             if level:
                 density, side = finer(density, side, 2), 2 * side
             bins = box.bins(stored, side)

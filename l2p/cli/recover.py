@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,13 +17,15 @@ from l2p.cli.flags import settings_of
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
 from l2p.errors import InputError
 from l2p.io.colmap import check_ids, check_model_output, save_recovered_model
-from l2p.io.line_files import load_lines
+from l2p.io.hidden_files import load_hidden
 from l2p.io.open3d import load_open3d
 from l2p.io.recovery_files import save_recovery
 from l2p.io.scene_files import load_truth
 from l2p.io.state_files import StateFile, state_path
 from l2p.judging.clean import inliers
 from l2p.maps.lines import LineCloud
+from l2p.maps.permuted import PermutedCloud
+from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
 from l2p.work.progress import terminal_progress
 
@@ -56,7 +59,9 @@ def recover(arguments: Namespace) -> None:
 
 def _recover(arguments: Namespace, place: Place) -> None:
     """Run the attack on rank 0, and write the result."""
-    from l2p.attacks.run import run
+    from l2p.attacks.by_scheme import has_own_attack, recover_own
+    from l2p.attacks.run import check_lines, run
+    from l2p.attacks.settings import DEFAULT_METHOD
     from l2p.work.work import Work
 
     if arguments.processes not in (None, place.shards.processes):
@@ -69,14 +74,20 @@ def _recover(arguments: Namespace, place: Place) -> None:
     lines, ids = _recover_inputs(arguments)
     set_threads(arguments.threads)
     state = StateFile(arguments.output, resume=arguments.resume, overwrite=arguments.force)
-    recovery = run(
-        lines,
-        attack,
-        device=place.device,
-        memory=arguments.memory,
-        work=Work(place.shards, state, terminal_progress()),
-        name=arguments.method,
-    )
+    if arguments.method == DEFAULT_METHOD and not settings_of(arguments) and has_own_attack(lines):
+        recovery = recover_own(lines, terminal_progress())
+        if "sentence" in recovery.info:
+            print(recovery.info["sentence"], file=sys.stderr)
+    else:
+        check_lines(lines)
+        recovery = run(
+            lines,
+            attack,
+            device=place.device,
+            memory=arguments.memory,
+            work=Work(place.shards, state, terminal_progress()),
+            name=arguments.method,
+        )
     if arguments.seed is not None:
         recovery = replace(recovery, info={**recovery.info, "seed": arguments.seed})
     with _rounds_left(state):
@@ -154,9 +165,9 @@ def _attack(arguments: Namespace) -> Attack:
     return named_attack(arguments.method, **settings_of(arguments))
 
 
-def _recover_inputs(arguments: Namespace) -> tuple[LineCloud, Int[np.ndarray, " lines"] | None]:
+def _recover_inputs(arguments: Namespace) -> tuple[LineCloud | PlaneCloud | PermutedCloud, Int[np.ndarray, " lines"] | None]:
     """Read the lines, without ignored attributes, and, for a COLMAP model, the point id behind each."""
-    lines = load_lines(arguments.lines).without(arguments.ignore)
+    lines = load_hidden(arguments.lines).without(arguments.ignore)
     if arguments.model is None:
         return lines, None
     truth = load_truth(arguments.truth)
