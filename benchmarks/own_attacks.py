@@ -96,7 +96,14 @@ def main() -> int:
         within, middle, auc, seconds = np.array(values).T
         real = ("-", "-") if np.isnan(auc).any() else (f"{auc.mean():.3f}", f"{auc.min():.3f}")
         rows.append(
-            [name, seen, f"{100 * within.mean():.1f} %", f"{geometric_mean(middle):.2f}", *real, f"{seconds.mean():.1f}"]
+            [
+                name,
+                seen,
+                f"{100 * within.mean():.1f} %",
+                f"{geometric_mean(middle):.2f}",
+                *real,
+                f"{seconds.mean():.1f}",
+            ]
         )
     heads = ["scheme", "attacker sees", "within 1 spacing", "median", "real over fake", "worst map", "seconds"]
     print_table(f"{len(given.models)} maps", heads, rows)

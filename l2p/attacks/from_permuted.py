@@ -9,8 +9,9 @@ the share of points with such a value. Expectation maximisation over the cells o
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -136,7 +137,7 @@ def line_cells(bins: Int[Tensor, "rows 3"], side: int) -> Int[Tensor, "rows cell
 
 
 def axis_weights(bins: Int[Tensor, "points 3"], side: int) -> Float[Tensor, "points 3"]:
-    """Share of the points whose value is in the bin of each stored coordinate: the likelihood that it was swapped in."""
+    """Share of the points with a value in the bin of each stored coordinate: the likelihood that it was swapped in."""
     counts = torch.stack([torch.bincount(bins[:, axis], minlength=side) for axis in range(3)])
     return torch.stack([counts[axis][bins[:, axis]] for axis in range(3)], dim=1) / len(bins)
 
@@ -155,14 +156,7 @@ def _densest(
             bins = box.bins(stored, side)
             weight = axis_weights(bins, side)
 
-            def spread(
-                side: int = side, bins: Tensor = bins, weight: Tensor = weight
-            ) -> Iterator[tuple[slice, Tensor, Tensor]]:
-                for begin in range(0, count, _BLOCK):
-                    rows = slice(begin, min(begin + _BLOCK, count))
-                    yield rows, line_cells(bins[rows], side), weight[rows].repeat_interleave(side, dim=1)
-                    advance(rows.stop - rows.start)
-
+            spread = partial(_spread, bins, weight, side, advance)
             for _ in range(config.steps):
                 density = maximised(density, classes, side, spread)
     xyz, confidence = stored.copy(), np.zeros(count)
@@ -183,6 +177,16 @@ def _densest(
         xyz[np.arange(rows.start, rows.stop), along] = box.low[along] + box.extent[along] * value
         confidence[rows] = most.clamp(0, 1).numpy()
     return xyz, confidence
+
+
+def _spread(
+    bins: Int[Tensor, "points 3"], weight: Float[Tensor, "points 3"], side: int, advance: Callable[[int], None]
+) -> Iterator[tuple[slice, Tensor, Tensor]]:
+    """The cells of the lines of all points, in blocks."""
+    for begin in range(0, len(bins), _BLOCK):
+        rows = slice(begin, min(begin + _BLOCK, len(bins)))
+        yield rows, line_cells(bins[rows], side), weight[rows].repeat_interleave(side, dim=1)
+        advance(rows.stop - rows.start)
 
 
 def voted(

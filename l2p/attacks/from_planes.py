@@ -11,8 +11,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -87,9 +88,7 @@ class PlanesConfig:
             raise InputError(f"got inside {self.inside}; expected a share in (0, 1]")
 
 
-def recover_planes(
-    cloud: PlaneCloud, config: PlanesConfig | None = None, progress: Progress = NO_PROGRESS
-) -> Recovery:
+def recover_planes(cloud: PlaneCloud, config: PlanesConfig | None = None, progress: Progress = NO_PROGRESS) -> Recovery:
     """Recover one point per plane.
 
     Parameters
@@ -264,12 +263,7 @@ def _densest(
             if level:
                 density, side = finer(density, side, 2), 2 * side
 
-            def spread(side: int = side) -> Iterator[tuple[slice, Tensor, Tensor]]:
-                for begin in range(0, count, _BLOCK):
-                    rows = slice(begin, min(begin + _BLOCK, count))
-                    yield rows, *plane_cells(normal[rows], offset[rows], side)
-                    advance(rows.stop - rows.start)
-
+            spread = partial(_spread, normal, offset, side, advance)
             for _ in range(config.steps):
                 density = maximised(density, classes, side, spread)
     found, confidence = torch.zeros(count, 3), torch.zeros(count)
@@ -286,6 +280,16 @@ def _densest(
         found[rows] = torch.where(inside, (index + 0.5) * (2 / side) - 1, torch.zeros(()))
         confidence[rows] = most.clamp(0, 1)
     return found, confidence
+
+
+def _spread(
+    normal: Float[Tensor, "planes 3"], offset: Float[Tensor, " planes"], side: int, advance: Callable[[int], None]
+) -> Iterator[tuple[slice, Tensor, Tensor]]:
+    """The cells of all planes, in blocks."""
+    for begin in range(0, len(normal), _BLOCK):
+        rows = slice(begin, min(begin + _BLOCK, len(normal)))
+        yield rows, *plane_cells(normal[rows], offset[rows], side)
+        advance(rows.stop - rows.start)
 
 
 def _entered(cloud: PlaneCloud, frame: PlaneFrame) -> tuple[Float[Tensor, "planes 3"], Float[Tensor, " planes"]]:

@@ -94,7 +94,7 @@ def recover(
     work = Work(progress=progress)
     if method == DEFAULT_METHOD and not settings and has_own_attack(lines):
         return recover_own(lines, progress)
-    check_lines(lines)
+    lines = lines_of(lines)
     if isinstance(method, Attack):
         if settings:
             raise InputError(f"got {', '.join(settings)} beside an attack; expected its settings in the attack itself")
@@ -102,13 +102,14 @@ def recover(
     return run(lines, named_attack(method, **settings), device=device, memory=memory, work=work, name=method)
 
 
-def check_lines(hidden: object) -> None:
-    """Refuse a map that is not of lines for an attack on lines."""
+def lines_of(hidden: object) -> LineCloud:
+    """Return a map of lines, and refuse a map that is not of lines for an attack on lines."""
     if not isinstance(hidden, LineCloud):
         raise InputError(
-            f"got a {type(hidden).__name__} for an attack on lines; expected a LineCloud, or leave out the method and its "
-            "settings to use the attack on such maps"
+            f"got a {type(hidden).__name__} for an attack on lines; expected a LineCloud, or leave out the method and "
+            "its settings to use the attack on such maps"
         )
+    return hidden
 
 
 def run(

@@ -60,7 +60,7 @@ def recover(arguments: Namespace) -> None:
 def _recover(arguments: Namespace, place: Place) -> None:
     """Run the attack on rank 0, and write the result."""
     from l2p.attacks.by_scheme import has_own_attack, recover_own
-    from l2p.attacks.run import check_lines, run
+    from l2p.attacks.run import lines_of, run
     from l2p.attacks.settings import DEFAULT_METHOD
     from l2p.work.work import Work
 
@@ -79,9 +79,8 @@ def _recover(arguments: Namespace, place: Place) -> None:
         if "sentence" in recovery.info:
             print(recovery.info["sentence"], file=sys.stderr)
     else:
-        check_lines(lines)
         recovery = run(
-            lines,
+            lines_of(lines),
             attack,
             device=place.device,
             memory=arguments.memory,
@@ -165,7 +164,9 @@ def _attack(arguments: Namespace) -> Attack:
     return named_attack(arguments.method, **settings_of(arguments))
 
 
-def _recover_inputs(arguments: Namespace) -> tuple[LineCloud | PlaneCloud | PermutedCloud, Int[np.ndarray, " lines"] | None]:
+def _recover_inputs(
+    arguments: Namespace,
+) -> tuple[LineCloud | PlaneCloud | PermutedCloud, Int[np.ndarray, " lines"] | None]:
     """Read the lines, without ignored attributes, and, for a COLMAP model, the point id behind each."""
     lines = load_hidden(arguments.lines).without(arguments.ignore)
     if arguments.model is None:
