@@ -29,6 +29,8 @@ from l2p.work.progress import terminal_progress
 
 #: Attributes to leave out, by what the attacker sees.
 HIDDEN = {"geometry": {"rgb", "descriptor"}, "+ colours": {"descriptor"}, "+ descriptors": {"rgb"}, "+ both": set()}
+#: What is worth seeing of schemes whose attack is decided by one thing.
+ONLY = {"planes-pooled": ["+ descriptors"], "planes": ["+ both"]}
 #: Attack of each scheme, and that of its baseline, if it has one.
 Attack = Callable[..., l2p.Recovery]
 SCHEMES: dict[str, tuple[Attack, Attack | None]] = {
@@ -60,7 +62,11 @@ def trials(scene: l2p.Scene, name: str, seed: int) -> dict[str, tuple[l2p.Recove
     """Recoveries by what the attacker sees."""
     hidden = l2p.hide(scene, seed, scheme=name, rgb=True, descriptor=True)
     own, baseline = SCHEMES[name]
-    found = {seen: (own(hidden.map.without(without)), hidden) for seen, without in HIDDEN.items()}
+    found = {
+        seen: (own(hidden.map.without(without)), hidden)
+        for seen, without in HIDDEN.items()
+        if seen in ONLY.get(name, HIDDEN)
+    }
     if baseline is not None:
         found["baseline"] = baseline(hidden.map), hidden
     if name == "planes-random":
