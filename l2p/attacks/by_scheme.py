@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from l2p.attacks.from_permuted import recover_permuted
 from l2p.attacks.from_planes import recover_planes
-from l2p.attacks.from_spheres import REAL, recover_spheres
+from l2p.attacks.from_spheres import recover_spheres
 from l2p.maps.lines import LineCloud
 from l2p.maps.permuted import PermutedCloud
 from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
+from l2p.schemes.recognition import recognise
 from l2p.work.progress import NO_PROGRESS, Progress
 
 
 def has_own_attack(hidden: LineCloud | PlaneCloud | PermutedCloud) -> bool:
-    """Whether the map is of planes, permuted points, or lines through one centre (by its scheme)."""
-    return not isinstance(hidden, LineCloud) or hidden.scheme in REAL
+    """Whether the map is of planes, permuted points, or lines through one centre."""
+    return not isinstance(hidden, LineCloud) or (len(hidden) > 0 and recognise(hidden).scheme == "sphere")
 
 
 def recover_own(hidden: LineCloud | PlaneCloud | PermutedCloud, progress: Progress = NO_PROGRESS) -> Recovery:

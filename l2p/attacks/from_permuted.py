@@ -9,8 +9,9 @@ the share of points with such a value. Expectation maximisation over the cells o
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +39,8 @@ class PermutedConfig:
     Attributes
     ----------
     side : int
-        Cells along each axis at first; twice as many, and then four times as many, later.
+        Cells along each axis at first; twice as many later, and without appearances four times as many in the end (a
+        grid for each class of appearance would take too long).
     steps : int
         Steps of expectation maximisation at each resolution.
     classes : int
@@ -51,7 +53,7 @@ class PermutedConfig:
         Neighbours by likeness whose stored coordinates vote in the baseline; 0: no baseline.
     """
 
-    side: int = 24
+    side: int = 32
     steps: int = 8
     classes: int = 16
     strength: float = 2.0
@@ -135,7 +137,7 @@ def line_cells(bins: Int[Tensor, "rows 3"], side: int) -> Int[Tensor, "rows cell
 
 
 def axis_weights(bins: Int[Tensor, "points 3"], side: int) -> Float[Tensor, "points 3"]:
-    """Share of the points whose value is in the bin of each stored coordinate: the likelihood that it was swapped in."""
+    """Share of the points with a value in the bin of each stored coordinate: the likelihood that it was swapped in."""
     counts = torch.stack([torch.bincount(bins[:, axis], minlength=side) for axis in range(3)])
     return torch.stack([counts[axis][bins[:, axis]] for axis in range(3)], dim=1) / len(bins)
 
@@ -146,21 +148,15 @@ def _densest(
     """The centre of mass of the window of most mass on the three lines of each point, and that mass."""
     box, side, count = Box.of(stored), config.side, len(stored)
     density, bins = flat(classes, side), box.bins(stored, side)
-    with progress.task("density of permuted points", 3 * config.steps * count) as advance:
-        for level in range(3):
+    levels = 3 if len(classes.ratio) == 1 else 2
+    with progress.task("density of permuted points", levels * config.steps * count) as advance:
+        for level in range(levels):
             if level:
                 density, side = finer(density, side, 2), 2 * side
             bins = box.bins(stored, side)
             weight = axis_weights(bins, side)
 
-            def spread(
-                side: int = side, bins: Tensor = bins, weight: Tensor = weight
-            ) -> Iterator[tuple[slice, Tensor, Tensor]]:
-                for begin in range(0, count, _BLOCK):
-                    rows = slice(begin, min(begin + _BLOCK, count))
-                    yield rows, line_cells(bins[rows], side), weight[rows].repeat_interleave(side, dim=1)
-                    advance(rows.stop - rows.start)
-
+            spread = partial(_spread, bins, weight, side, advance)
             for _ in range(config.steps):
                 density = maximised(density, classes, side, spread)
     xyz, confidence = stored.copy(), np.zeros(count)
@@ -181,6 +177,16 @@ def _densest(
         xyz[np.arange(rows.start, rows.stop), along] = box.low[along] + box.extent[along] * value
         confidence[rows] = most.clamp(0, 1).numpy()
     return xyz, confidence
+
+
+def _spread(
+    bins: Int[Tensor, "points 3"], weight: Float[Tensor, "points 3"], side: int, advance: Callable[[int], None]
+) -> Iterator[tuple[slice, Tensor, Tensor]]:
+    """The cells of the lines of all points, in blocks."""
+    for begin in range(0, len(bins), _BLOCK):
+        rows = slice(begin, min(begin + _BLOCK, len(bins)))
+        yield rows, line_cells(bins[rows], side), weight[rows].repeat_interleave(side, dim=1)
+        advance(rows.stop - rows.start)
 
 
 def voted(

@@ -1,9 +1,9 @@
 """Recovery from a sphere cloud: which rays are real; the distances are not in the map.
 
 All lines meet in one centre. A camera there would see the same picture whatever the distances are, so no attack on the
-geometry finds them, and the recovered points are the picture: one unit from the centre, on the signed rays. Fakes carry
-the appearance of points that were left out, so an appearance that does not fit its neighbours on the sphere is a sign of
-a fake; without appearances, only the looser spread of fakes is.
+geometry finds them, and the recovered points are the picture: one unit from the centre, on the signed rays. Fakes
+carry the appearance of points that were left out, so an appearance that does not fit its neighbours on the sphere is a
+sign of a fake; without appearances, only the looser spread of fakes is.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from l2p.work.progress import NO_PROGRESS, Progress
 
 #: What the recovery says in ``info["sentence"]``.
 NO_DEPTH = (
-    "all lines meet in one point, so nothing tells how far the points are: they are put at 1 scene unit from it, and the "
-    "confidence is that of a ray being real"
+    "all lines meet in one point, so nothing tells how far the points are: they are put at 1 scene unit from it, and "
+    "the confidence is that of a ray being real"
 )
 #: Share of real rays by scheme.
 REAL = {"sphere": 1.0, "sphere-50": 1 / 2, "sphere-33": 1 / 3, "sphere-25": 1 / 4}

@@ -15,6 +15,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate, locate
+from l2p.attacks.by_scheme import has_own_attack, recover_own
 from l2p.attacks.named import named_attack
 from l2p.attacks.settings import DEFAULT_METHOD
 from l2p.attacks.structure import Structure
@@ -23,6 +24,8 @@ from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.maps.lines import LineCloud
+from l2p.maps.permuted import PermutedCloud
+from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
 from l2p.schemes.recognition import recognise
 from l2p.schemes.scheme import DEFAULT_SCHEME
@@ -34,7 +37,7 @@ from l2p.work.work import ALONE, Work
 
 
 def recover(
-    lines: LineCloud,
+    lines: LineCloud | PlaneCloud | PermutedCloud,
     method: str | Attack = DEFAULT_METHOD,
     *,
     device: str = "cpu",
@@ -42,11 +45,13 @@ def recover(
     progress: Progress = NO_PROGRESS,
     **settings: Any,
 ) -> Recovery:
-    """Recover the points behind a line cloud.
+    """Recover the points behind a line cloud, or of a map of planes or permuted points.
 
     Parameters
     ----------
-    lines : LineCloud
+    lines : LineCloud, PlaneCloud or PermutedCloud
+        Planes, permuted points and sphere clouds (lines of scheme ``sphere``, ``sphere-50``, ...) have attacks of their
+        own (:mod:`l2p.attacks.by_scheme`), which are used if no method is named; they have no settings here.
     method : str or Attack
         ``learned``: tomography, then rounds of a network that weighs the votes (:mod:`l2p.attacks.learned.learned`).
         ``tomography``: expectation maximisation on a sparse grid, then the votes around its modes
@@ -93,11 +98,24 @@ def recover(
     (200,)
     """
     work = Work(progress=progress)
+    if method == DEFAULT_METHOD and not set(settings) - {"fraction"} and has_own_attack(lines):
+        return recover_own(lines, progress)
+    lines = lines_of(lines)
     if isinstance(method, Attack):
         if settings:
             raise InputError(f"got {', '.join(settings)} beside an attack; expected its settings in the attack itself")
         return run(lines, method, device=device, memory=memory, work=work)
     return run(lines, named_attack(method, **settings), device=device, memory=memory, work=work, name=method)
+
+
+def lines_of(hidden: object) -> LineCloud:
+    """Return a map of lines, and refuse a map that is not of lines for an attack on lines."""
+    if not isinstance(hidden, LineCloud):
+        raise InputError(
+            f"got a {type(hidden).__name__} for an attack on lines; expected a LineCloud, or leave out the method and "
+            "its settings to use the attack on such maps"
+        )
+    return hidden
 
 
 def run(

@@ -18,13 +18,15 @@ from l2p.cli.flags import settings_of
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
 from l2p.errors import InputError
 from l2p.io.colmap import check_ids, check_model_output, save_recovered_model
-from l2p.io.line_files import load_lines
+from l2p.io.hidden_files import load_hidden
 from l2p.io.open3d import load_open3d
 from l2p.io.recovery_files import save_recovery
 from l2p.io.scene_files import load_truth
 from l2p.io.state_files import StateFile, state_path
 from l2p.judging.clean import inliers
 from l2p.maps.lines import LineCloud
+from l2p.maps.permuted import PermutedCloud
+from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
 from l2p.schemes.recognition import NOT_STATED
 from l2p.work.progress import terminal_progress
@@ -60,7 +62,9 @@ def recover(arguments: Namespace) -> None:
 
 def _recover(arguments: Namespace, place: Place) -> None:
     """Run the attack on rank 0, and write the result."""
-    from l2p.attacks.run import run
+    from l2p.attacks.by_scheme import has_own_attack, recover_own
+    from l2p.attacks.run import lines_of, run
+    from l2p.attacks.settings import DEFAULT_METHOD
     from l2p.work.work import Work
 
     if arguments.processes not in (None, place.shards.processes):
@@ -74,10 +78,16 @@ def _recover(arguments: Namespace, place: Place) -> None:
     set_threads(arguments.threads)
     state = StateFile(arguments.output, resume=arguments.resume, overwrite=arguments.force)
     if len(releases) > 1:
-        recovery = _recover_several(releases, arguments, place.device)
+        recovery = _recover_several([lines_of(each) for each in releases], arguments, place.device)
+    elif (
+        arguments.method == DEFAULT_METHOD
+        and not set(settings_of(arguments)) - {"fraction"}
+        and has_own_attack(releases[0])
+    ):
+        recovery = recover_own(releases[0], terminal_progress())
     else:
         recovery = run(
-            releases[0],
+            lines_of(releases[0]),
             attack,
             device=place.device,
             memory=arguments.memory,
@@ -117,9 +127,11 @@ def _rounds_left(state: StateFile) -> Iterator[None]:
 
 
 def _warn_of_lines(recovery: Recovery) -> None:
-    """Say on stderr what the lines were recognised as, unless they are uniform."""
-    found = recovery.info["recognised"]
-    if not found["expected"]:
+    """Say on stderr what the scheme forbids, or what the lines were recognised as, unless they are uniform."""
+    if "sentence" in recovery.info:
+        print(f"l2p: {recovery.info['sentence']}", file=sys.stderr)
+    found = recovery.info.get("recognised")
+    if found is not None and not found["expected"]:
         print(" ".join(["l2p:", found["sentence"], *([] if recovery.calibrated else [NOT_STATED])]), file=sys.stderr)
 
 
@@ -196,10 +208,12 @@ def _attack(arguments: Namespace) -> Attack:
     return named_attack(arguments.method, **settings_of(arguments))
 
 
-def _recover_inputs(arguments: Namespace) -> tuple[list[LineCloud], Int[np.ndarray, " lines"] | None]:
+def _recover_inputs(
+    arguments: Namespace,
+) -> tuple[list[LineCloud | PlaneCloud | PermutedCloud], Int[np.ndarray, " lines"] | None]:
     """Read the releases, without ignored attributes, and, for a COLMAP model, the point id behind each line of the
     first."""
-    releases = [load_lines(path).without(arguments.ignore) for path in arguments.lines]
+    releases = [load_hidden(path).without(arguments.ignore) for path in arguments.lines]
     if arguments.model is None:
         return releases, None
     lines = releases[0]

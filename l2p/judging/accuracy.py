@@ -134,6 +134,12 @@ class Outcome:
         return bool(self.confidence.min() < self.confidence.max())
 
     @property
+    def fakes(self) -> Bool[np.ndarray, " rows"] | None:
+        """Mask of the recovered rows whose element hides no point; None if there are none of them, or only them."""
+        fake = ~np.isin(self.recovery.element, self.truth.element)
+        return fake if fake.any() and not fake.all() else None
+
+    @property
     def spacings(self) -> Float[np.ndarray, " points"]:
         """Errors in spacings."""
         return self.error / self.spacing
