@@ -15,7 +15,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate, locate
-from l2p.attacks.by_scheme import has_own_attack, recover_own
+from l2p.attacks.by_scheme import by_own_attack, recover_own
 from l2p.attacks.named import named_attack
 from l2p.attacks.settings import DEFAULT_METHOD
 from l2p.attacks.structure import Structure
@@ -98,7 +98,7 @@ def recover(
     (200,)
     """
     work = Work(progress=progress)
-    if method == DEFAULT_METHOD and not set(settings) - {"fraction"} and has_own_attack(lines):
+    if by_own_attack(lines, method, settings):
         return recover_own(lines, progress)
     lines = lines_of(lines)
     if isinstance(method, Attack):
