@@ -62,9 +62,8 @@ def recover(arguments: Namespace) -> None:
 
 def _recover(arguments: Namespace, place: Place) -> None:
     """Run the attack on rank 0, and write the result."""
-    from l2p.attacks.by_scheme import has_own_attack, recover_own
+    from l2p.attacks.by_scheme import by_own_attack, recover_own
     from l2p.attacks.run import lines_of, run
-    from l2p.attacks.settings import DEFAULT_METHOD
     from l2p.work.work import Work
 
     if arguments.processes not in (None, place.shards.processes):
@@ -79,11 +78,7 @@ def _recover(arguments: Namespace, place: Place) -> None:
     state = StateFile(arguments.output, resume=arguments.resume, overwrite=arguments.force)
     if len(releases) > 1:
         recovery = _recover_several([lines_of(each) for each in releases], arguments, place.device)
-    elif (
-        arguments.method == DEFAULT_METHOD
-        and not set(settings_of(arguments)) - {"fraction"}
-        and has_own_attack(releases[0])
-    ):
+    elif by_own_attack(releases[0], arguments.method, settings_of(arguments)):
         recovery = recover_own(releases[0], terminal_progress())
     else:
         recovery = run(
