@@ -17,10 +17,11 @@ from omegaconf.errors import OmegaConfBaseException
 
 from eval.contract import LINE_SCHEMES, Contender, Peer, Trial, check_sight, settle_sight
 from l2p.attacks.attack import Attack
+from l2p.attacks.by_scheme import by_own_attack, recover_own
 from l2p.attacks.learned import checkpoint
 from l2p.attacks.learned.learned import Learned
 from l2p.attacks.named import imported, named_attack
-from l2p.attacks.settings import ATTACKS, METHODS
+from l2p.attacks.settings import ATTACKS, DEFAULT_METHOD, METHODS
 from l2p.checks import finite_rows
 from l2p.errors import InputError
 from l2p.io.kinds import Kind, kind_of
@@ -58,7 +59,13 @@ class AttackContender(Peer):
         """Return whether the attack was made for such maps."""
         if self.name == "published":
             return scheme.startswith(("ppl", "rays")) or scheme == "half-space"
-        return scheme in LINE_SCHEMES
+        return scheme in LINE_SCHEMES or self.name == DEFAULT_METHOD
+
+    def recover(self, trial: Trial) -> Recovery:
+        """Build, then run; maps that are not of lines, or of one centre, have an attack of their own."""
+        if by_own_attack(trial.lines, self.name, self.settings):
+            return recover_own(trial.lines)
+        return super().recover(trial)
 
     def build(self, trial: Trial) -> Attack:
         """Build the attack for this trial."""

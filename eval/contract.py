@@ -16,8 +16,8 @@ from l2p.maps.appearance import ATTRIBUTES, Appearance
 from l2p.maps.recovery import Recovery
 from l2p.schemes.scheme import SCHEMES
 
-#: Schemes that publish lines; other maps have attacks of their own, which only named attacks run.
-LINE_SCHEMES = tuple(name for name in SCHEMES if not name.startswith(("planes", "permuted")))
+#: Schemes of lines that do not all meet in one point; other maps have attacks of their own.
+LINE_SCHEMES = tuple(name for name in SCHEMES if not name.startswith(("planes", "permuted", "sphere")))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,16 +9,13 @@ from typing import Any
 import numpy as np
 
 from l2p.auditing.attackers import Attacker, others
-from l2p.errors import InputError
 from l2p.judging.accuracy import compare
 from l2p.judging.measure import measured
-from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
-from l2p.schemes.scheme import published_by
-from l2p.utility.landmarks import LineLandmarks
+from l2p.utility.releases import localizes
 
 
 @dataclass(frozen=True)
@@ -129,14 +126,3 @@ class OtherSchemes:
 def attacks_of(schemes: Sequence[str], fractions: Sequence[float], used: Attacker) -> int:
     """Number of attacks of a comparison, for its progress."""
     return len(schemes) * len(fractions) * (2 if used else 1)
-
-
-def localizes(hidden: Hiding) -> bool:
-    """Whether cameras can be localized in a hidden map: it has lines, which do not all meet in one point."""
-    if published_by(hidden.map.scheme) is not LineCloud:
-        return False
-    try:
-        LineLandmarks(hidden.map)
-    except InputError:
-        return False
-    return True

@@ -242,6 +242,17 @@ def _localization(
     return Localization(name, queries.points, queries.extent, metric, config.matching, upright, config.seed, trials)
 
 
+def localizes(hidden: Hiding) -> bool:
+    """Whether cameras can be localized in a hidden map: it has lines, which do not all meet in one point."""
+    if published_by(hidden.map.scheme) is not LineCloud:
+        return False
+    try:
+        LineLandmarks(hidden.map)
+    except InputError:
+        return False
+    return True
+
+
 def read_queries(
     model: str | PathLike[str], features: str | PathLike[str] | None = None, described: bool = False
 ) -> tuple[Scene, Queries]:
