@@ -29,6 +29,7 @@ from l2p.maps.truth import Hiding
 from l2p.programs.commits import commit, source_digest
 from l2p.programs.scenes import SceneSource, load
 from l2p.schemes.hide import hide
+from l2p.schemes.scheme import DEFAULT_SCHEME
 from l2p.work.resident import measured_peak
 
 log = logging.getLogger("eval")
@@ -36,18 +37,25 @@ log = logging.getLogger("eval")
 
 @dataclass(frozen=True)
 class Cell:
-    """Cell of one scene, fraction, seed and method."""
+    """Cell of one scene, fraction, seed, scheme and method."""
 
     scene: SceneSource
     fraction: float
     seed: int
     contender: Contender
     device: str
+    scheme: str = DEFAULT_SCHEME
 
     @property
     def cloud_key(self) -> str:
-        """Name of the line cloud in files: scene, percent, seed."""
-        return f"{self.scene.name}_{100 * self.fraction:g}_{self.seed}"
+        """Name of the hidden map in files: scene, percent, seed, and the scheme if it is not uniform lines."""
+        scheme = "" if self.scheme == DEFAULT_SCHEME else f"_{self.scheme}"
+        return f"{self.scene.name}_{100 * self.fraction:g}_{self.seed}{scheme}"
+
+    @property
+    def method(self) -> str:
+        """Name of the method in tables, with the scheme if it is not uniform lines."""
+        return self.contender.label if self.scheme == DEFAULT_SCHEME else f"{self.scheme}: {self.contender.label}"
 
     @property
     def key(self) -> str:
@@ -55,25 +63,27 @@ class Cell:
         return f"{self.cloud_key}_{re.sub('[^a-z0-9]+', '-', self.contender.label.lower()).strip('-')}"
 
     def trial(self) -> Trial:
-        """Line cloud with the attributes that the method sees, and the truth for references."""
+        """Hidden map with the attributes that the method sees, and the truth for references."""
         hidden = self.hidden()
         lines = hidden.map.without([name for name in ATTRIBUTES if name not in self.contender.sees])
-        points = hidden.truth.xyz
+        # By elements, since references take them in this order: pairs have two each.
+        points = hidden.truth.xyz[np.argsort(hidden.truth.element, kind="stable")]
         return Trial(self.cloud_key, lines, points, self.scene.kind, self.fraction, self.seed, self.device)
 
     def hidden(self) -> Hiding:
-        """Line cloud with all attributes of the scene, and truth, with the spacing of the whole scene."""
-        return self.hidden_scene(self.scene.source, self.fraction, self.seed)
+        """Hidden map with all attributes of the scene, and truth, with the spacing of the whole scene."""
+        return self.hidden_scene(self.scene.source, self.fraction, self.seed, self.scheme)
 
     @staticmethod
-    def hidden_scene(source: str, fraction: float, seed: int) -> Hiding:
-        """Hide a fraction of a scene."""
+    def hidden_scene(source: str, fraction: float, seed: int, scheme: str = DEFAULT_SCHEME) -> Hiding:
+        """Hide a fraction of a scene by a scheme."""
         scene = load(source)
         seen = scene.appearance
         hidden = hide(
             scene.xyz,
             seed,
             fraction,
+            scheme,
             rgb=seen.rgb,
             descriptor=seen.descriptor,
             descriptor_kind=seen.descriptor_kind,
@@ -91,6 +101,7 @@ class Cell:
             "kind": self.scene.kind,
             "fraction": self.fraction,
             "seed": self.seed,
+            **({} if self.scheme == DEFAULT_SCHEME else {"scheme": self.scheme}),
             "method": identity_of(self.contender, self.cloud_key),
             "device": self.device,
         }
@@ -174,12 +185,16 @@ def cells_of(settings: Settings, scenes: Sequence[SceneSource]) -> list[Cell]:
         If two cells would share a file.
     """
     cells = [
-        Cell(scene, fraction, seed, contender, settings.device)
+        Cell(scene, fraction, seed, contender, settings.device, scheme)
+        for scheme in settings.schemes
         for fraction in settings.fractions
         for seed in settings.seeds
         for scene in scenes
         for contender in settings.methods
+        if contender.serves(scheme)
     ]
+    if not cells:
+        raise InputError(f"got no method for the schemes {', '.join(settings.schemes)}; give others")
     owner: dict[str, str] = {}
     for cell in cells:
         label = cell.contender.label

@@ -15,12 +15,13 @@ import numpy as np
 from omegaconf import MISSING, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from eval.contract import Contender, Peer, Trial, check_sight, settle_sight
+from eval.contract import LINE_SCHEMES, Contender, Peer, Trial, check_sight, settle_sight
 from l2p.attacks.attack import Attack
+from l2p.attacks.by_scheme import by_own_attack, recover_own
 from l2p.attacks.learned import checkpoint
 from l2p.attacks.learned.learned import Learned
 from l2p.attacks.named import imported, named_attack
-from l2p.attacks.settings import ATTACKS, METHODS
+from l2p.attacks.settings import ATTACKS, DEFAULT_METHOD, METHODS
 from l2p.checks import finite_rows
 from l2p.errors import InputError
 from l2p.io.kinds import Kind, kind_of
@@ -53,6 +54,18 @@ class AttackContender(Peer):
     def uses(self, appearance: Appearance) -> tuple[str, ...]:
         """Return what the attack says that it uses."""
         return named_attack(self.name, **self.settings).uses(appearance)
+
+    def serves(self, scheme: str) -> bool:
+        """Return whether the attack was made for such maps."""
+        if self.name == "published":
+            return scheme.startswith(("ppl", "rays")) or scheme == "half-space"
+        return scheme in LINE_SCHEMES or self.name == DEFAULT_METHOD
+
+    def recover(self, trial: Trial) -> Recovery:
+        """Build, then run; maps that are not of lines, or of one centre, have an attack of their own."""
+        if by_own_attack(trial.lines, self.name, self.settings):
+            return recover_own(trial.lines)
+        return super().recover(trial)
 
     def build(self, trial: Trial) -> Attack:
         """Build the attack for this trial."""
@@ -195,6 +208,10 @@ class CallContender:
         """Return all that there is: the lines bring it to the callable."""
         return appearance.names
 
+    def serves(self, scheme: str) -> bool:
+        """Return True: what it can do is up to its author."""
+        return True
+
     def recover(self, trial: Trial) -> Recovery:
         """Call it with the lines and ``arguments``, without the truth."""
         answer = imported(self.path)(trial.lines, **self.arguments)
@@ -227,6 +244,10 @@ class FolderContender:
     def uses(self, appearance: Appearance) -> tuple[str, ...]:
         """Return all that there is: the other programs are taken at their word."""
         return appearance.names
+
+    def serves(self, scheme: str) -> bool:
+        """Return True: the files are taken as they are."""
+        return True
 
     def recover(self, trial: Trial) -> Recovery:
         """Read the recovery; bare points all get the same confidence."""

@@ -13,17 +13,20 @@ from l2p.attacks.learned.learned import Learned
 from l2p.attacks.run import run
 from l2p.errors import InputError
 from l2p.maps.appearance import ATTRIBUTES, Appearance
-from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
+from l2p.schemes.scheme import SCHEMES
+
+#: Schemes of lines that do not all meet in one point; other maps have attacks of their own.
+LINE_SCHEMES = tuple(name for name in SCHEMES if not name.startswith(("planes", "permuted", "sphere")))
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """Line cloud to attack, with the attributes that the method sees. Only references may use ``truth``, (lines, 3) in
-    the order of the lines."""
+    """Hidden map to attack, with the attributes that the method sees. Only references may use ``truth``, (points, 3) in
+    the order of the lines; of pairs, in the order of their appearances."""
 
     key: str
-    lines: LineCloud
+    lines: Any
     truth: Float[np.ndarray, "lines 3"]
     kind: str
     fraction: float
@@ -54,6 +57,10 @@ class Contender(Protocol):
         """Return the attributes of a map that it uses when it is given all of them."""
         ...
 
+    def serves(self, scheme: str) -> bool:
+        """Whether it can be run on maps that are hidden by this scheme."""
+        ...
+
     def files(self, cloud: str) -> dict[str, str]:
         """Return digests of the files read for the line cloud of that name: the prediction depends on them, too."""
         ...
@@ -79,6 +86,10 @@ class Peer:
     def uses(self, appearance: Appearance) -> tuple[str, ...]:
         """Return nothing: it uses lines alone."""
         return ()
+
+    def serves(self, scheme: str) -> bool:
+        """Return whether the map is a line cloud."""
+        return scheme in LINE_SCHEMES
 
     def files(self, cloud: str) -> dict[str, str]:
         """Return no digests: it reads no files."""

@@ -14,6 +14,7 @@ from eval.contract import Contender
 from l2p.attacks.run import usable_device
 from l2p.checks import check_fraction
 from l2p.errors import InputError
+from l2p.schemes.scheme import scheme_of
 from l2p.work.threads import MOST_THREADS
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "eval"
@@ -43,6 +44,7 @@ class EvalConfig:
     kinds: dict[str, str] = field(default_factory=dict)
     methods: list[dict[str, Any]] = MISSING
     fractions: list[float] = MISSING
+    schemes: list[str] = MISSING
     seeds: list[int] = MISSING
     steps: list[str] = MISSING
     processes: int | None = None
@@ -75,6 +77,7 @@ class Settings:
     kinds: dict[str, str]
     methods: tuple[Contender, ...]
     fractions: tuple[float, ...]
+    schemes: tuple[str, ...]
     seeds: tuple[int, ...]
     steps: tuple[str, ...]
     processes: int | None
@@ -96,10 +99,12 @@ def settings_of(config: DictConfig) -> Settings:
         If a value is out of range, or a method or one of its parameters is unknown.
     """
     resolved: Any = OmegaConf.to_container(config, resolve=True)
-    for key in ("scenes", "methods", "fractions", "seeds", "steps"):
+    for key in ("scenes", "methods", "fractions", "schemes", "seeds", "steps"):
         _check_list(key, resolved[key])
     for fraction in resolved["fractions"]:
         check_fraction(fraction)
+    for scheme in resolved["schemes"]:
+        scheme_of(scheme)
     for seed in resolved["seeds"]:
         _check_range("seed", seed, 0, 2**63 - 1)
     if set(resolved["steps"]) - set(STEPS):
@@ -115,6 +120,7 @@ def settings_of(config: DictConfig) -> Settings:
         kinds=resolved["kinds"],
         methods=contenders_of(resolved["methods"]),
         fractions=tuple(resolved["fractions"]),
+        schemes=tuple(resolved["schemes"]),
         seeds=tuple(resolved["seeds"]),
         steps=tuple(resolved["steps"]),
         processes=resolved["processes"],

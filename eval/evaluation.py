@@ -20,6 +20,8 @@ from eval.figures import draw_figures
 from eval.localization_table import localization_tables
 from eval.parallel import outcomes
 from eval.result_tables import Image, Table, document, print_tables, tables, updated
+from eval.scheme_figure import draw_schemes
+from eval.scheme_table import scheme_tables
 from eval.scoring import Row, score, write_results
 from eval.side_by_side import check_pictures, draw_pictures
 from eval.targets import References, target_table
@@ -111,13 +113,12 @@ def _show(rows: list[Row], cells: Sequence[Cell], store: Store, settings: Settin
         log.warning("nothing is predicted yet: no tables")
         return
     references = References.of(settings.methods)
-    found = tables(rows)
-    targets = target_table(rows, references)
-    if targets is not None:
-        found.insert(1, targets)
-    found[-1:-1] = [*appearance_tables(rows, references), *localization_tables(rows)]  # before the scenes
+    found = scheme_tables(rows) or _tables(rows, references)
     print_tables(found)
-    drawings = [*draw_figures(rows, references.knowing), *draw_pictures(cells, rows, store, settings.pictures)]
+    drawings = [
+        *(draw_schemes(rows) or draw_figures(rows, references.knowing)),
+        *draw_pictures(cells, rows, store, settings.pictures),
+    ]
     places = [(store.folder / "results.md", "figures", "")]
     if settings.docs is not None:
         places.append((settings.docs, "images", f"{settings.docs.stem}-"))
@@ -130,6 +131,16 @@ def _show(rows: list[Row], cells: Sequence[Cell], store: Store, settings: Settin
         _write_text(page, document(rows, found, about, shown, page.parent))
     _update(settings, found)
     log.info("results are in %s", store.folder)
+
+
+def _tables(rows: list[Row], references: References) -> list[Table]:
+    """Tables of a run of one scheme: those of methods come before those of scenes."""
+    found = tables(rows)
+    targets = target_table(rows, references)
+    if targets is not None:
+        found.insert(1, targets)
+    found[-1:-1] = [*appearance_tables(rows, references), *localization_tables(rows)]
+    return found
 
 
 def _update(settings: Settings, found: Sequence[Table]) -> None:

@@ -8,20 +8,22 @@ from eval.cells import Cell
 from l2p.io.kinds import Kind, kind_of
 from l2p.utility.localization import Localization
 from l2p.utility.queries import Queries
-from l2p.utility.releases import LocalizeConfig, localize_hidden, read_queries
+from l2p.utility.releases import LocalizeConfig, localize_hidden, localizes, read_queries
 
 
 def localization_of(cell: Cell, queries: int) -> Localization | None:
-    """Localize the images of the cell's scene in its line cloud and its points; None if it is no COLMAP model."""
+    """Localize the images of the cell's scene in its hidden map and its points; None if it is no COLMAP model."""
     if not queries or cell.scene.source.startswith("sim:") or kind_of(cell.scene.source) is not Kind.SCENE_MODEL:
         return None
-    return _localized(cell.scene.source, cell.fraction, cell.seed, queries)
+    return _localized(cell.scene.source, cell.fraction, cell.seed, cell.scheme, queries)
 
 
 @lru_cache(maxsize=256)
-def _localized(source: str, fraction: float, seed: int, queries: int) -> Localization:
-    """Localize once for all methods of a line cloud."""
-    hidden = Cell.hidden_scene(source, fraction, seed)
+def _localized(source: str, fraction: float, seed: int, scheme: str, queries: int) -> Localization | None:
+    """Localize once for all methods of a hidden map; None if cameras cannot be localized in it."""
+    hidden = Cell.hidden_scene(source, fraction, seed, scheme)
+    if not localizes(hidden):
+        return None
     config = LocalizeConfig(most_queries=queries, seed=seed)
     return localize_hidden(_queries(source), {fraction: hidden}, config)
 

@@ -15,12 +15,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from l2p.attacks.run import recover
+    from l2p.attacks.several import recover_releases
     from l2p.auditing.audit import Audit, audit
     from l2p.auditing.report import save_report
     from l2p.errors import InputError
     from l2p.io.files import load, save
     from l2p.judging.scores import evaluate
     from l2p.maps.lines import LineCloud
+    from l2p.maps.permuted import PermutedCloud
+    from l2p.maps.planes import PlaneCloud
     from l2p.maps.recovery import Recovery
     from l2p.maps.scene import Scene
     from l2p.maps.truth import Hiding, Truth
@@ -37,6 +40,8 @@ _HOME = {
     "InputError": "l2p.errors",
     "LineCloud": "l2p.maps.lines",
     "Localization": "l2p.utility.localization",
+    "PermutedCloud": "l2p.maps.permuted",
+    "PlaneCloud": "l2p.maps.planes",
     "Recovery": "l2p.maps.recovery",
     "Scene": "l2p.maps.scene",
     "Truth": "l2p.maps.truth",
@@ -48,6 +53,7 @@ _HOME = {
     "load": "l2p.io.files",
     "localize": "l2p.utility.releases",
     "recover": "l2p.attacks.run",
+    "recover_releases": "l2p.attacks.several",
     "save": "l2p.io.files",
     "save_report": "l2p.auditing.report",
     "simulate": "l2p.simulator",

@@ -33,7 +33,8 @@ def rounds_of(cloud: Cloud, attack: Learned) -> list[Judged]:
     last = attack.rounds_of(cloud.elements)
     for number in range(last + 1):
         result = attack.judge(state)
-        judged.append(Judged((result.estimates.beta - cloud.true_beta).abs() / cloud.spacing, result.found))
+        beta = result.estimates.beta
+        judged.append(Judged((beta - cloud.true_near(beta)).abs() / cloud.spacing, result.found))
         if number < last:
             state = attack.next(state, result)
     return judged

@@ -78,7 +78,7 @@ class Sources:
         seed = int(rng.integers(1 << 31))
         known = tuple(name for name in names if rng.random() >= self.data.absent)
         observed, unknown = bool(rng.random() < _OBSERVED), bool(rng.random() < _UNKNOWN)
-        return CloudSource(scene, round(lines / points, 6), seed, known, observed, unknown)
+        return CloudSource(scene, round(lines / points, 6), seed, known, observed, unknown, self.data.scheme)
 
 
 def validation_sources(data: DataSettings) -> list[CloudSource]:
@@ -91,7 +91,7 @@ def validation_sources(data: DataSettings) -> list[CloudSource]:
             share = round(min(fraction, data.max_lines / one.points), 6)
             for known in _subsets(one.names):
                 for unknown in (False, True) if "descriptor" in known else (False,):
-                    source = CloudSource(scene, share, 0, known, unknown=unknown)
+                    source = CloudSource(scene, share, 0, known, unknown=unknown, scheme=data.scheme)
                     if source not in sources:
                         sources.append(source)
     return sources

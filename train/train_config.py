@@ -15,6 +15,7 @@ from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import NetworkConfig
 from l2p.checks import check_fraction
 from l2p.errors import InputError
+from l2p.schemes.scheme import scheme_of
 from l2p.simulator import MAX_POINTS, MIN_POINTS
 from l2p.work.threads import MOST_THREADS
 from train.infonce import EmbeddingSettings
@@ -60,6 +61,7 @@ class DataSettings:
     """Line clouds for training and validation."""
 
     seed: int = MISSING
+    scheme: str = MISSING
     scenes: list[str] = MISSING
     simulated: int = MISSING
     simulated_points: list[int] = MISSING
@@ -182,6 +184,7 @@ def _check(resolved: dict[str, Any]) -> None:
             raise InputError(f"got {key} {resolved[key]}; expected a number that is not negative")
     if resolved["minutes"] is not None and not resolved["minutes"] > 0:
         raise InputError(f"got minutes {resolved['minutes']}; expected more than 0, or null")
+    scheme_of(resolved["scheme"])
     if not resolved["scenes"] and not resolved["maps"] and resolved["simulated"] < 1:
         raise InputError("got no scenes and no simulated ones; expected scenes=[FOLDER] or simulated=12")
     if not 0 <= resolved["absent"] <= 1:

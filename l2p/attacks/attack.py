@@ -21,9 +21,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from l2p.attacks.structure import NO_STRUCTURE, Structure
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.maps.appearance import NO_APPEARANCE, Appearance
+from l2p.schemes.scheme import DEFAULT_SCHEME
 from l2p.work.work import Work
 
 
@@ -47,6 +49,8 @@ class Elements:
         float32.
     descriptor_kind : str or None
         What computed the descriptors.
+    structure : Structure
+        Relations of the lines that the scheme tells.
     """
 
     lines: Lines
@@ -54,15 +58,22 @@ class Elements:
     frame: Frame
     attributes: Mapping[str, Any] = field(default_factory=dict)
     descriptor_kind: str | None = None
+    structure: Structure = NO_STRUCTURE
 
     @classmethod
-    def sorted(cls, lines: Lines, frame: Frame, appearance: Appearance = NO_APPEARANCE) -> Elements:
+    def sorted(
+        cls,
+        lines: Lines,
+        frame: Frame,
+        appearance: Appearance = NO_APPEARANCE,
+        structure: Structure = NO_STRUCTURE,
+    ) -> Elements:
         """Sort lines, given in the order of the map, by their coordinates."""
         key = torch.cat([lines.direction, lines.moment], dim=1).cpu().numpy()
         row = torch.as_tensor(np.lexsort(key.T), device=lines.direction.device)
         published = attributes_of(appearance, lines.direction.device)
         attributes = {name: value[row] for name, value in published.items()}
-        return cls(lines.rows(row), row, frame, attributes, appearance.descriptor_kind)
+        return cls(lines.rows(row), row, frame, attributes, appearance.descriptor_kind, structure.sorted(row))
 
     def __len__(self) -> int:
         return len(self.row)
@@ -106,12 +117,23 @@ class Attack:
         Bytes held per line, without the temporaries of blocks; None: memory is not bounded.
     columns : mapping
         Name of each tensor that is saved after a round, with its shape per line.
+    schemes : tuple of str
+        Schemes whose structure the attack uses (:mod:`l2p.attacks.structured`); lines of others are attacked as if
+        they were uniform.
+    scheme : str
+        Scheme that its confidence was calibrated on.
     """
 
     rounds: int = 0
     calibrated: bool = False
     line_bytes: float | None = None
     columns: Mapping[str, tuple[int, ...]] = {}
+    schemes: tuple[str, ...] = (DEFAULT_SCHEME,)
+    scheme: str = DEFAULT_SCHEME
+
+    def for_scheme(self, scheme: str) -> Attack:
+        """Return the attack on lines of one of ``schemes``; the same one by default."""
+        return self
 
     def uses(self, appearance: Appearance) -> tuple[str, ...]:
         """Return the names of the published attributes that the attack uses: none, if it uses geometry alone."""

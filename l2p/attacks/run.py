@@ -15,13 +15,20 @@ from jaxtyping import Int
 from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate, locate
+from l2p.attacks.by_scheme import by_own_attack, recover_own
 from l2p.attacks.named import named_attack
 from l2p.attacks.settings import DEFAULT_METHOD
+from l2p.attacks.structure import Structure
+from l2p.attacks.structured import expanded, frame_of, structure_of
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.maps.lines import LineCloud
+from l2p.maps.permuted import PermutedCloud
+from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
+from l2p.schemes.recognition import recognise
+from l2p.schemes.scheme import DEFAULT_SCHEME
 from l2p.version import __version__
 from l2p.work.memory import allotted
 from l2p.work.progress import NO_PROGRESS, Progress
@@ -30,7 +37,7 @@ from l2p.work.work import ALONE, Work
 
 
 def recover(
-    lines: LineCloud,
+    lines: LineCloud | PlaneCloud | PermutedCloud,
     method: str | Attack = DEFAULT_METHOD,
     *,
     device: str = "cpu",
@@ -38,11 +45,13 @@ def recover(
     progress: Progress = NO_PROGRESS,
     **settings: Any,
 ) -> Recovery:
-    """Recover the points behind a line cloud.
+    """Recover the points behind a line cloud, or of a map of planes or permuted points.
 
     Parameters
     ----------
-    lines : LineCloud
+    lines : LineCloud, PlaneCloud or PermutedCloud
+        Planes, permuted points and sphere clouds (lines of scheme ``sphere``, ``sphere-50``, ...) have attacks of their
+        own (:mod:`l2p.attacks.by_scheme`), which are used if no method is named; they have no settings here.
     method : str or Attack
         ``learned``: tomography, then rounds of a network that weighs the votes (:mod:`l2p.attacks.learned.learned`).
         ``tomography``: expectation maximisation on a sparse grid, then the votes around its modes
@@ -69,7 +78,9 @@ def recover(
     Returns
     -------
     Recovery
-        Points in the order of the lines.
+        Points in the order of the lines. Its confidence is a probability (``calibrated``) only for uniform lines, as
+        far as the lines can tell; ``info["recognised"]`` says what they were recognised as
+        (:mod:`l2p.schemes.recognition`).
 
     Raises
     ------
@@ -87,11 +98,24 @@ def recover(
     (200,)
     """
     work = Work(progress=progress)
+    if by_own_attack(lines, method, settings):
+        return recover_own(lines, progress)
+    lines = lines_of(lines)
     if isinstance(method, Attack):
         if settings:
             raise InputError(f"got {', '.join(settings)} beside an attack; expected its settings in the attack itself")
         return run(lines, method, device=device, memory=memory, work=work)
     return run(lines, named_attack(method, **settings), device=device, memory=memory, work=work, name=method)
+
+
+def lines_of(hidden: object) -> LineCloud:
+    """Return a map of lines, and refuse a map that is not of lines for an attack on lines."""
+    if not isinstance(hidden, LineCloud):
+        raise InputError(
+            f"got a {type(hidden).__name__} for an attack on lines; expected a LineCloud, or leave out the method and "
+            "its settings to use the attack on such maps"
+        )
+    return hidden
 
 
 def run(
@@ -116,19 +140,24 @@ def run(
     began = time.perf_counter()
     work.shards.check(len(lines))
     work.journal.begin(_about(lines, attack, name))
-    frame = Frame.of(lines)
+    recognised = recognise(lines)
+    known = recognised.scheme if recognised.scheme in attack.schemes else DEFAULT_SCHEME
+    single, line = expanded(lines, known)
+    attack, frame = attack.for_scheme(known), frame_of(lines, known, recognised)
     with torch.inference_mode():
-        elements = Elements.sorted(frame.enter(lines, where), frame, lines.appearance)
+        structure = structure_of(single, known, recognised, frame, where)
+        elements = Elements.sorted(frame.enter(single, where), frame, single.appearance, structure)
         _check_same(work.shards, attack, where)
-        _send(elements, work.shards)
+        _send(elements, known, work.shards)
         estimate = _in_map_order(_collected(locate(attack, elements, work), len(elements), work), elements.row)
-    element = np.arange(len(lines)) if estimate.element is None else estimate.element.cpu().numpy()
-    placed = lines if estimate.element is None else lines.rows(element)
+    own = np.arange(len(single)) if estimate.element is None else estimate.element.cpu().numpy()
+    placed = single if estimate.element is None else single.rows(own)
     beta = frame.leave(placed, estimate.beta)
     info = {
         "method": name or type(attack).__name__,
         "settings": attack.settings(),
         "used": list(attack.uses(lines.appearance)),
+        "recognised": recognised.as_dict(),
         "device": str(where),
         "seconds": time.perf_counter() - began,
     }
@@ -140,8 +169,9 @@ def run(
         neighbors=estimate.neighbors.cpu().numpy().astype(np.int64),
         affinity=estimate.affinity.float().cpu().numpy(),
         info=info,
-        calibrated=attack.calibrated,
-        element=element,
+        # A calibration says nothing about lines of another scheme.
+        calibrated=attack.calibrated and known == attack.scheme and (recognised.expected or known != DEFAULT_SCHEME),
+        element=line[own],
     )
 
 
@@ -156,7 +186,8 @@ def assist(attack: Attack, shards: Shards, *, device: str = "cpu", memory: float
     where, work = usable_device(device), Work(shards)
     with torch.inference_mode():
         _check_same(shards, attack, where)
-        elements = _received(shards, where)
+        elements, known = _received(shards, where)
+        attack = attack.for_scheme(known)
         work = replace(work, room=_room(attack, where, memory, len(elements), work))
         _collected(locate(attack, elements, work), len(elements), work)
 
@@ -214,24 +245,27 @@ def _check_same(shards: Shards, attack: Attack, where: torch.device) -> None:
         )
 
 
-def _send(elements: Elements, shards: Shards) -> None:
-    """Send the lines of rank 0 to the other ranks, equal to the bit."""
+def _send(elements: Elements, scheme: str, shards: Shards) -> None:
+    """Send the lines of rank 0 to the other ranks, equal to the bit, and the scheme that they are attacked as."""
     if shards.processes == 1:
         return
     shapes = {name: list(value.shape[1:]) for name, value in elements.attributes.items()}
+    relations = {name: value for name, value in elements.structure._asdict().items() if value is not None}
     header = {
         "lines": len(elements),
         "frame": elements.frame.as_dict(),
         "attributes": shapes,
         "kind": elements.descriptor_kind,
+        "scheme": scheme,
+        "structure": {name: list(value.shape) for name, value in relations.items()},
     }
     shards.first_json(header, elements.row.device)
-    for tensor in (*elements.lines, elements.row, *elements.attributes.values()):
+    for tensor in (*elements.lines, elements.row, *elements.attributes.values(), *relations.values()):
         shards.first(tensor)
 
 
-def _received(shards: Shards, where: torch.device) -> Elements:
-    """Receive the lines of rank 0."""
+def _received(shards: Shards, where: torch.device) -> tuple[Elements, str]:
+    """Receive the lines of rank 0, and their scheme."""
     header = shards.first_json(None, where)
     count = header["lines"]
     direction, moment = (shards.first(torch.empty(count, 3, device=where)) for _ in range(2))
@@ -239,7 +273,13 @@ def _received(shards: Shards, where: torch.device) -> Elements:
     attributes = {
         name: shards.first(torch.empty(count, *shape, device=where)) for name, shape in header["attributes"].items()
     }
-    return Elements(Lines(direction, moment), row, Frame.from_dict(header["frame"]), attributes, header["kind"])
+    relations = {
+        name: torch.empty(shape, device=where, dtype=torch.float32 if name == "center" else torch.int64)
+        for name, shape in header["structure"].items()
+    }
+    structure = Structure(**{name: shards.first(value) for name, value in relations.items()})
+    frame = Frame.from_dict(header["frame"])
+    return Elements(Lines(direction, moment), row, frame, attributes, header["kind"], structure), header["scheme"]
 
 
 def usable_device(name: str) -> torch.device:

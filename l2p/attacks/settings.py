@@ -51,6 +51,11 @@ class HeuristicSettings:
     rounds: int = setting(3, "refinements after the coarse stage", metavar="R")
 
 
+@dataclass(frozen=True)
+class PublishedSettings:
+    """Settings of ``published``: none."""
+
+
 class Row(NamedTuple):
     """An attack: its settings, and ``module:function`` that builds it from them."""
 
@@ -68,6 +73,7 @@ ATTACKS = {
     "learned": Row(LearnedSettings, "l2p.attacks.learned.checkpoint:build"),
     "tomography": Row(TomographySettings, "l2p.attacks.tomographic:build"),
     "heuristic": Row(HeuristicSettings, "l2p.attacks.heuristic:build"),
+    "published": Row(PublishedSettings, "l2p.attacks.published:build"),
 }
 METHODS = tuple(ATTACKS)
 DEFAULT_METHOD = "learned"

@@ -10,9 +10,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate
+from l2p.attacks.families import other_points_near_points
 from l2p.attacks.peak import PeakConfig
 from l2p.attacks.settings import TomographySettings
-from l2p.attacks.tomography.posterior import Posterior, mass_within, modes
+from l2p.attacks.structure import Structure
+from l2p.attacks.structured import STRUCTURED
+from l2p.attacks.tomography.posterior import Posterior, first_places, mass_within
 from l2p.attacks.tomography.reconstruct import LINE_BYTES, TomographyConfig, reconstruct
 from l2p.attacks.votes import equal_weights, peaks
 from l2p.errors import InputError
@@ -52,6 +55,7 @@ class _State(NamedTuple):
     posterior: Posterior
     beta: Float[Tensor, " lines"]
     near: Nearest
+    structure: Structure
 
 
 class Tomography(Attack):
@@ -59,8 +63,11 @@ class Tomography(Attack):
     (:mod:`l2p.attacks.tomography.reconstruct`).
 
     O(lines x segments) for the posterior, O(lines log lines) for the search of the voters. The confidence is the
-    posterior probability within twice the median distance of the voters: it ranks, and is not calibrated.
+    posterior probability within twice the median distance of the voters: it ranks, and is not calibrated. Lines through
+    centres get votes of the other families only; the two points of a line start at the two modes of its posterior.
     """
+
+    schemes = STRUCTURED
 
     columns: Mapping[str, tuple[int, ...]] = {"beta": ()}
     line_bytes = LINE_BYTES
@@ -71,16 +78,19 @@ class Tomography(Attack):
 
     def begin(self, elements: Elements, saved: Mapping[str, Tensor] | None, work: Work) -> _State:
         """Reconstruct the posterior, which the confidence always needs; without saved estimates, take its modes."""
-        lines = elements.lines
-        posterior = reconstruct(lines, self.config.tomography, work)
-        beta = work.gather(modes(posterior)[0], len(elements)) if saved is None else saved["beta"]
-        return self._around(lines, posterior, beta, work)
+        lines, structure = elements.lines, elements.structure
+        posterior = reconstruct(lines, self.config.tomography, work, structure)
+        if saved is None:
+            beta = work.gather(first_places(posterior, structure.twin, work.own(len(elements))), len(elements))
+        else:
+            beta = saved["beta"]
+        return self._around(lines, posterior, beta, structure, work)
 
     def step(self, state: _State, work: Work) -> _State:
         """Take the peak of the voters' closest points, then the voters of the new estimates."""
         lines, voters = state.lines, state.near.index
         beta = peaks(lines, voters, equal_weights(lines, voters), self.config.peak, work)
-        return self._around(lines, state.posterior, work.gather(beta, len(state.beta)), work)
+        return self._around(lines, state.posterior, work.gather(beta, len(state.beta)), state.structure, work)
 
     def finish(self, state: _State, work: Work) -> Estimate:
         """Compute the confidence of the estimates from the posterior."""
@@ -90,8 +100,15 @@ class Tomography(Attack):
         beta, voters = state.beta[work.own(count)], state.near.index
         return Estimate(beta, mass_within(state.posterior, beta, radius), voters, equal_weights(state.lines, voters))
 
-    def _around(self, lines: Lines, posterior: Posterior, beta: Float[Tensor, " lines"], work: Work) -> _State:
-        return _State(lines, posterior, beta, nearest_points_to_points(lines.at(beta), self.config.nearest, work=work))
+    def _around(
+        self, lines: Lines, posterior: Posterior, beta: Float[Tensor, " lines"], structure: Structure, work: Work
+    ) -> _State:
+        points, k = lines.at(beta), self.config.nearest
+        if structure.family is None:
+            near = nearest_points_to_points(points, k, work=work)
+        else:
+            near = other_points_near_points(points, k, structure.family, work)
+        return _State(lines, posterior, beta, near, structure)
 
     def settings(self) -> dict[str, Any]:
         """Return the configuration."""

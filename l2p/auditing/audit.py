@@ -18,20 +18,20 @@ import torch
 from jaxtyping import Bool, Float
 
 from l2p.attacks.named import named_attack
-from l2p.attacks.run import recover
-from l2p.attacks.settings import DEFAULT_METHOD, owners_of
+from l2p.attacks.settings import DEFAULT_METHOD
 from l2p.auditing import FRACTIONS
-from l2p.auditing.attackers import Attacker, attackers_of, others
+from l2p.auditing.attackers import Attacker, attackers_of
+from l2p.auditing.attacking import estimated_spacing, lifted_trials, line_trials, recovered
 from l2p.auditing.left_out import LeftOut
+from l2p.auditing.other_schemes import OtherSchemes, attacks_of
+from l2p.auditing.published_again import MOST_RELEASES, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
-from l2p.auditing.trial import Prediction, Trial
+from l2p.auditing.trial import Trial
 from l2p.checks import check_fraction
 from l2p.errors import InputError
-from l2p.judging.accuracy import compare, spacing
-from l2p.judging.curves import SHARES, THRESHOLDS, measured_curves, predicted_curves
-from l2p.judging.measure import measured
+from l2p.judging.accuracy import spacing
+from l2p.judging.curves import SHARES, THRESHOLDS
 from l2p.judging.provenance import machine, versions
-from l2p.judging.scores import Scores
 from l2p.maps.appearance import ATTRIBUTES
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
@@ -39,15 +39,14 @@ from l2p.maps.region import kept_rows
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
+from l2p.schemes.scheme import scheme_of
 from l2p.utility.localization import Localization
 from l2p.utility.queries import Queries
 from l2p.utility.releases import LocalizeConfig, localize_hidden
 from l2p.work.progress import NO_PROGRESS, Progress
 
-#: Recovers lines that hold a fraction of the map's points.
-_Recover = Callable[[LineCloud, float], Recovery]
 #: Version of the layout of ``audit.json``, written into it.
-AUDIT_VERSION = 3
+AUDIT_VERSION = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +60,8 @@ class Audit:
     points : int
         Number of points of the map, also of those left out; of lines, if a line cloud was given.
     spacing : float
-        Spacing of the whole map, scene units; estimated from the recovered points if a line cloud was given.
+        Spacing of the whole map, scene units; estimated from the recovered points if a line cloud was given, which
+        means little unless its lines are uniform.
     trials : tuple of Trial
         From the largest to the smallest fraction, and in each from the attacker who uses most to the one who sees lines
         alone.
@@ -84,6 +84,10 @@ class Audit:
         Images of the map, localized in its releases; None without queries.
     undropped : Localization or None
         The same at the largest fraction if no point were left out; None if none was.
+    others : OtherSchemes or None
+        Attacks on the map hidden by other schemes; None if none was asked for.
+    again : PublishedAgain or None
+        What several releases of the map give away together; None if only one was asked about.
     """
 
     name: str
@@ -100,6 +104,8 @@ class Audit:
     region: AskedRegion | None = None
     localization: Localization | None = None
     undropped: Localization | None = None
+    others: OtherSchemes | None = None
+    again: PublishedAgain | None = None
 
     @property
     def scheme(self) -> str:
@@ -144,6 +150,11 @@ class Audit:
         """Whether the confidence is the probability of lying within 1 spacing."""
         return self.trials[0].recovery.calibrated
 
+    @property
+    def recognised(self) -> dict[str, Any]:
+        """What the lines were recognised as (:meth:`l2p.schemes.recognition.Recognition.as_dict`)."""
+        return self.trials[0].recovery.info["recognised"]
+
     def as_dict(self) -> dict[str, Any]:
         """Return all figures, settings and versions as plain values, for a JSON file."""
         return {
@@ -159,6 +170,8 @@ class Audit:
             "ignored": list(self.ignored),
             "left_out": None if self.left_out is None else self.left_out.as_dict(),
             "region": None if self.region is None else self.region.as_dict(),
+            "other_schemes": None if self.others is None else self.others.as_dict(),
+            "published_again": None if self.again is None else self.again.as_dict(),
             "versions": versions(),
             "machine": {**machine(), "threads": torch.get_num_threads()},
             "thresholds": THRESHOLDS.tolist(),
@@ -177,6 +190,8 @@ def audit(
     ignore: Collection[str] = (),
     drop: Bool[np.ndarray, " points"] | None = None,
     region: Bool[np.ndarray, " points"] | None = None,
+    schemes: Sequence[str] = (),
+    releases: int = 1,
     metric: bool = False,
     device: str = "cpu",
     memory: float | None = None,
@@ -209,6 +224,12 @@ def audit(
         have something within 1 spacing that is still there. Not with a line cloud.
     region : (points,) bool, optional
         True for each point of a region: the audit also says how much comes back of it. Not with a line cloud.
+    schemes : sequence of str
+        Other ways to hide the map (:data:`l2p.schemes.scheme.SCHEMES`) to compare at the same fractions, each against
+        the attack that knows it. Not with a line cloud.
+    releases : int
+        2 or more: the audit also says what so many releases, with other directions each, give away together by their
+        lines alone (:func:`l2p.recover_releases`). Not with a line cloud.
     metric : bool
         The scene is in metres.
     queries : Queries, optional
@@ -248,15 +269,25 @@ def audit(
         raise InputError("got a region for a line cloud, whose points are unknown; expected one with a scene")
     if isinstance(scene, LineCloud) and drop is not None:
         raise InputError("got points to drop for a line cloud, which has none; drop them when the map is lifted")
+    if isinstance(scene, LineCloud) and releases != 1:
+        raise InputError(
+            "got releases for a line cloud; expected them with a scene; l2p recover takes several line clouds"
+        )
+    if isinstance(scene, LineCloud) and schemes:
+        raise InputError("got schemes for a line cloud; expected them with a scene, which each of them can hide")
+    for scheme in schemes:
+        scheme_of(scheme)
+    if not 1 <= releases <= MOST_RELEASES:
+        raise InputError(f"got {releases} releases; expected 1 to {MOST_RELEASES}")
     scene = scene if isinstance(scene, LineCloud | Scene) else Scene(scene)
     published = scene.appearance.without(ignore)
     attackers = attackers_of(named_attack(method, **settings), published)
     ignored = tuple(attribute for attribute in ATTRIBUTES if attribute in ignore)
-    attack = partial(_attack, method=method, device=device, memory=memory, progress=progress, settings=settings)
+    attack = partial(recovered, method=method, device=device, memory=memory, progress=progress, settings=settings)
     if isinstance(scene, LineCloud):
         with _task(progress, [len(scene)], attackers) as advance:
-            trials = _line_trials(scene, attackers, attack, advance)
-        scale = spacing(trials[0].recovery.xyz)
+            trials = line_trials(scene, attackers, attack, advance)
+        scale = estimated_spacing(trials[0])
         return Audit(name, len(scene), scale, trials, method, None, metric, None, published.names, ignored)
     wanted = _fractions(FRACTIONS if fractions is None else fractions)
     if region is not None and (region.shape != (len(scene),) or not region.any()):
@@ -266,7 +297,7 @@ def audit(
     trials = ()
     with _task(progress, [max(1, round(kept * share)) for share in wanted], attackers) as advance:
         for share in wanted:
-            trials = (*_trials(scene, drop, share, seed, scale, attackers, attack, metric, advance), *trials)
+            trials = (*lifted_trials(scene, drop, share, seed, scale, attackers, attack, metric, advance), *trials)
     pairs = [(trial.recovery, trial.truth) for trial in trials if trial.truth is not None]
     found = Audit(
         name,
@@ -282,13 +313,18 @@ def audit(
         None if drop is None else LeftOut.of(scene.xyz[drop], pairs, scale),
         None if region is None else AskedRegion.of(region, trials, scale),
     )
+    if schemes:
+        found = replace(found, others=_others(found, scene, drop, schemes, progress, attack))
+    if releases > 1:
+        found = replace(found, again=_again(found, scene, drop, releases, progress, attack))
     if queries is None:
         return found
     config, largest = localizing or LocalizeConfig(), found.fractions[0]
     localized_in = partial(localize_hidden, queries, config=config, metric=metric, progress=progress, name=name)
     whole = None if drop is None else localized_in({largest: hide(scene, seed, largest)})
     published = {trial.fraction: Hiding(trial.lines, trial.truth) for trial in trials if trial.truth is not None}
-    return replace(found, localization=localized_in(published), undropped=whole)
+    beside = None if found.others is None else found.others.hidden
+    return replace(found, localization=localized_in(published, others=beside), undropped=whole)
 
 
 def _fractions(wanted: Sequence[float]) -> list[float]:
@@ -309,47 +345,43 @@ def _task(
     return progress.task(name, total=sum(lines) * len(attackers))
 
 
-def _trials(
+def _others(
+    found: Audit,
     scene: Scene,
     drop: Bool[np.ndarray, " points"] | None,
-    fraction: float,
-    seed: int,
-    scale: float,
-    attackers: Sequence[Attacker],
-    attack: _Recover,
-    metric: bool,
-    advance: Callable[[int], None],
-) -> list[Trial]:
-    """Lift a fraction of the scene once, attack it as each attacker, and score the recoveries."""
-    used = attackers[0]
-    hidden = hide(scene, seed, fraction, rgb="rgb" in used, descriptor="descriptor" in used, drop=drop)
-    truth = replace(hidden.truth, spacing=scale)
-    rgb = None if scene.rgb is None else scene.rgb[truth.index]
-    bare, trials = hidden.map.without(ATTRIBUTES), []
-    for attacker in attackers:
-        recovery = attack(hidden.map.without(others(attacker)), fraction)
-        found = compare(recovery, truth, metric=metric)
-        scores, curves = Scores(measured(found)), measured_curves(found)
-        trials.append(Trial(fraction, attacker, bare, recovery, truth, rgb, scores, Prediction.of(recovery), curves))
-        advance(len(bare))
-    return trials
+    schemes: Sequence[str],
+    progress: Progress,
+    attack: Callable[[Any, float], Recovery],
+) -> OtherSchemes:
+    """Hide the scene of an audit by other schemes, and attack it."""
+    assert found.seed is not None
+    wanted, used = [name for name in dict.fromkeys(schemes) if name != found.scheme], found.attackers[0]
+    with progress.task("attacks on other schemes", total=attacks_of(wanted, found.fractions, used)) as advance:
+
+        def counted(hidden: Any, fraction: float) -> Recovery:
+            recovery = attack(hidden, fraction)
+            advance(1)
+            return recovery
+
+        return OtherSchemes.of(scene, wanted, found.fractions, found.seed, found.spacing, used, counted, drop)
 
 
-def _line_trials(
-    lines: LineCloud, attackers: Sequence[Attacker], attack: _Recover, advance: Callable[[int], None]
-) -> tuple[Trial, ...]:
-    """Attack a line cloud whose points are unknown as each attacker."""
-    bare, trials = lines.without(ATTRIBUTES), []
-    for attacker in attackers:
-        recovery = attack(lines.without(others(attacker)), 1.0)
-        prediction, curves = Prediction.of(recovery), predicted_curves(recovery)
-        trials.append(Trial(1.0, attacker, bare, recovery, None, lines.rgb, None, prediction, curves))
-        advance(len(lines))
-    return tuple(trials)
+def _again(
+    found: Audit,
+    scene: Scene,
+    drop: Bool[np.ndarray, " points"] | None,
+    releases: int,
+    progress: Progress,
+    attack: Callable[[list[LineCloud], float], Recovery],
+) -> PublishedAgain:
+    """Lift the scene of an audit again, and attack its releases together."""
+    assert found.seed is not None
+    kept = sum(len(trial) for trial in found.strongest)
+    with progress.task(f"lines of {releases} releases", total=releases * kept) as advance:
 
+        def counted(lines: list[LineCloud], fraction: float) -> Recovery:
+            recovery = attack(lines, fraction)
+            advance(sum(map(len, lines)))
+            return recovery
 
-def _attack(lines: LineCloud, fraction: float, *, method: str, settings: dict[str, Any], **where: Any) -> Recovery:
-    """Recover, then drop neighbours and affinities; pass the true fraction to attacks with that setting."""
-    known = {"fraction": fraction} if method in owners_of("fraction") else {}
-    recovery = recover(lines, method, **where, **known, **settings)
-    return replace(recovery, neighbors=None, affinity=None)
+        return PublishedAgain.of(scene, releases, found.fractions, found.seed, found.spacing, counted, drop)

@@ -186,6 +186,19 @@ def _options(audit: Audit, found: Localization, limit: Limit) -> list[Option]:
                     matchable=not described or "descriptor" in attacker,
                 )
             )
+    return [*options, *_other_options(audit, found, limit)]
+
+
+def _other_options(audit: Audit, found: Localization, limit: Limit) -> list[Option]:
+    """Releases of the other schemes in which cameras can be localized, with all that is published."""
+    if audit.others is None:
+        return []
+    used, options = audit.attackers[0], []
+    for scheme, fraction in audit.others.hidden:
+        full, bare = (audit.others.of_scheme(scheme, fraction, attacker) for attacker in (used, ()))
+        back, alone = (trial.points / audit.points * trial.within for trial in (full, bare))
+        figures = _figures(found, scheme, fraction, limit)
+        options.append(Option(scheme, used, fraction, back, alone, full.within, *figures, matchable=True))
     return options
 
 

@@ -5,20 +5,22 @@ from __future__ import annotations
 import datetime
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any
 
 from l2p.auditing.attackers import named, others, seen_by
 from l2p.auditing.audit import Audit
 from l2p.auditing.charts import charts
 from l2p.auditing.decision import decide
 from l2p.auditing.left_out import LeftOut
+from l2p.auditing.page_table import Group, Head, Row, Table
+from l2p.auditing.published_again import EXACT, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
+from l2p.auditing.scheme_comparison import comparison_chart, comparison_table
 from l2p.auditing.tradeoff import ReleaseInputs, tradeoff
 from l2p.auditing.trial import Trial
-from l2p.auditing.words import sentences
+from l2p.auditing.words import sentences, times
 from l2p.io.atomic import atomic_folder
 from l2p.judging.accuracy import errors
 from l2p.judging.measure import Figure, Form, Need, figures
@@ -37,49 +39,6 @@ _FORMS: dict[Form, Callable[[Any], str]] = {
     Form.SHARE: percent,
     Form.NUMBER: "{:.3f}".format,
 }
-
-
-#: Cells of a row of a table; the first is its heading.
-Row = Sequence[str]
-
-
-class Head(NamedTuple):
-    """Heading of one column, or of several whose own headings are ``under`` it."""
-
-    text: str
-    under: tuple[str, ...] = ()
-
-
-class Group(NamedTuple):
-    """Rows of a table under a heading of their own, which may be empty."""
-
-    heading: str
-    rows: Sequence[Row]
-
-
-@dataclass(frozen=True)
-class Table:
-    """Table of the page."""
-
-    heading: str
-    heads: Sequence[Head]
-    groups: Sequence[Group]
-    note: str
-
-    @property
-    def rows(self) -> list[Row]:
-        """Rows of all groups."""
-        return [row for group in self.groups for row in group.rows]
-
-    @property
-    def columns(self) -> int:
-        """Number of columns."""
-        return sum(len(head.under) or 1 for head in self.heads)
-
-    @property
-    def grouped(self) -> bool:
-        """Whether the headings need two rows."""
-        return any(head.under for head in self.heads)
 
 
 def save_report(
@@ -149,7 +108,7 @@ def report_page(
         tables=_tables(audit),
         tradeoff=None if decision is None else tradeoff(audit, decision, release),
         unlocalized=release.unlocalized,
-        charts=charts(audit),
+        charts=[*([] if audit.others is None else [comparison_chart(audit, audit.others)]), *charts(audit)],
         spacing=length(audit.spacing, audit.metric),
         seconds=_duration(audit.trials[0].seconds),
         own_colors=audit.trials[0].rgb is not None and "rgb" not in used,
@@ -179,14 +138,18 @@ def _tables(audit: Audit) -> list[Table]:
         return [_predicted_table(audit)]
     left_out = [] if audit.left_out is None else [_left_out_table(audit, audit.left_out)]
     region = [] if audit.region is None else [_region_table(audit, audit.region)]
-    return [_measured_table(audit), *([_metric_table(audit)] if audit.metric else []), *left_out, *region]
+    again = [] if audit.again is None else [_again_table(audit.again)]
+    metric = [_metric_table(audit)] if audit.metric else []
+    others = [] if audit.others is None else [comparison_table(audit, audit.others)]
+    return [_measured_table(audit), *metric, *others, *again, *left_out, *region]
 
 
 def _measured_table(audit: Audit) -> Table:
     shown = [figure for figure in _shown(audit) if figure.need is not Need.METRIC]
     note = " ".join(filter(None, (figure.note for figure in shown)))
     if not audit.calibrated:
-        note += f" The confidence of the method {audit.method} ranks points and is no probability."
+        lines = "" if audit.recognised["expected"] else " on these lines"
+        note += f" The confidence of the method {audit.method} ranks points and is no probability{lines}."
     heads = [*_heads(shown), Head("Seconds")]
     rows = [[*_values(trial, shown), f"{trial.seconds:.1f}"] for trial in audit.trials]
     by = "By fraction of the points" if len(audit.attackers) == 1 else "By fraction of the points, and by attacker"
@@ -218,6 +181,36 @@ def _region_table(audit: Audit, region: AskedRegion) -> Table:
     ]
     note = f"{count(region.points)} points of the map are in the region, by their true places, ids or masks."
     return _by_trial(audit, "The region", heads, rows, note)
+
+
+def _again_table(again: PublishedAgain) -> Table:
+    """What several releases give away together."""
+    heads = [
+        Head("Points in each release"),
+        Head("Lines"),
+        Head("Meet another of their point"),
+        Head("Recovered within", (f"{EXACT:g} spacings", "1 spacing")),
+        Head("Median error (spacings)"),
+        Head("Seconds"),
+    ]
+    rows = [
+        [
+            fraction(trial.fraction),
+            count(trial.lines),
+            percent(trial.met / trial.lines),
+            percent(trial.exact),
+            percent(trial.within),
+            "< 0.001" if trial.median < 0.001 else f"{trial.median:.3f}",
+            f"{trial.seconds:.1f}",
+        ]
+        for trial in again.trials
+    ]
+    note = (
+        f"The map is lifted {times(again.releases)}, with other directions and, below 100 %, other points each time. "
+        "The attacker sees the lines alone, of all releases, and does not know which belong together. The figures are "
+        "of the points of the first release: those that another release has too are given away."
+    )
+    return Table(f"Published {times(again.releases)}", heads, [Group("", rows)], note)
 
 
 def _left_out_table(audit: Audit, left_out: LeftOut) -> Table:
@@ -274,6 +267,10 @@ def _predicted_table(audit: Audit) -> Table:
     heads = [Head("Lines"), Head("1 spacing, estimated")]
     rows = [[count(len(trial)), length(audit.spacing, audit.metric)] for trial in audit.trials]
     note = "The spacing is that of the recovered points, which is usually a little below that of the map."
+    if not audit.recognised["expected"]:
+        # Points that are wrong throughout, as all at one centre, have a spacing of their own.
+        heads, rows = heads[:1], [row[:1] for row in rows]
+        note = "On these lines, not even the spacing of the map can be estimated from the recovered points."
     if audit.calibrated:
         heads += [Head("Expected within 1 spacing", ("all points", "confident half"))]
         for row, trial in zip(rows, audit.trials, strict=True):

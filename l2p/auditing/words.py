@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from l2p.auditing.attackers import Attacker, named
 from l2p.auditing.audit import Audit
+from l2p.auditing.published_again import EXACT
 from l2p.auditing.trial import Trial
 from l2p.show.page.numbers import count, fraction, length, percent
 
@@ -13,7 +14,11 @@ _TELLING = 0.02
 
 def sentences(audit: Audit) -> list[str]:
     """Return all sentences, the headline first."""
-    return [each for make in (headline, region, left_out, alone, savings, typical, sparser) if (each := make(audit))]
+    return [
+        each
+        for make in (headline, again, unexpected, region, left_out, alone, savings, typical, sparser)
+        if (each := make(audit))
+    ]
 
 
 def headline(audit: Audit) -> str:
@@ -40,6 +45,16 @@ def headline(audit: Audit) -> str:
     return f"{recovered}." if half is None else f"{recovered}; {_knowledge(within, half)} of the time."
 
 
+def unexpected(audit: Audit) -> str:
+    """What the lines are, if the attack was not calibrated on such; empty for uniform lines."""
+    found = audit.recognised
+    if found["expected"]:
+        return ""
+    if audit.calibrated:
+        return found["sentence"]
+    return f"{found['sentence']} No probability is stated, because the attack was not calibrated on such lines."
+
+
 def _knowledge(within: float, half: float) -> str:
     """Whether the attacker can tell which points are right."""
     if 1 - half <= (1 - within) / 2:
@@ -47,6 +62,26 @@ def _knowledge(within: float, half: float) -> str:
     if half - within >= _TELLING:
         return f"the attacker has some idea which: the most confident half is right {percent(half)}"
     return f"the attacker can hardly tell which: the most confident half is right only {percent(half)}"
+
+
+def again(audit: Audit) -> str:
+    """What further releases of the map give away, at the largest fraction; empty if they were not asked about."""
+    if audit.again is None:
+        return ""
+    first = audit.again.trials[0]
+    return (
+        f"A map must be lifted once and for ever. If it is published {times(audit.again.releases)}, with fresh "
+        f"directions, {percent(first.exact)} of the points are recovered within {EXACT:g} spacings and "
+        f"{percent(first.within)} within 1, although nobody tells which lines belong together."
+    )
+
+
+def times(releases: int) -> str:
+    """
+    >>> times(2), times(3)
+    ('twice', '3 times')
+    """
+    return "twice" if releases == 2 else f"{releases} times"
 
 
 def region(audit: Audit) -> str:

@@ -86,6 +86,8 @@ def audit(arguments: Namespace) -> None:
         ignore=arguments.ignore,
         drop=None if isinstance(scene, LineCloud) else dropped(arguments, scene)[0],
         region=None if isinstance(scene, LineCloud) else chosen(arguments, scene, "region")[0],
+        schemes=arguments.schemes,
+        releases=arguments.releases,
         metric=arguments.metric,
         device=arguments.device,
         memory=arguments.memory,
@@ -236,6 +238,8 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
     flags = {**settings_of(arguments), **{name: getattr(arguments, name) for name in ("device", "threads", "memory")}}
     for name, value in flags.items():
         words += [] if value is None else [f"--{name.replace('_', '-')}", str(value)]
+    words += ["--schemes", *arguments.schemes] if arguments.schemes else []
+    words += [] if arguments.releases == 1 else ["--releases", str(arguments.releases)]
     words += ["--metric"] if arguments.metric else []
     words += [] if arguments.queries == MOST_QUERIES else ["--queries", str(arguments.queries)]
     words += [] if arguments.matches == BY_TRACKS else ["--matches", arguments.matches]

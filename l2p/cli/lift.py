@@ -1,4 +1,4 @@
-"""Command ``l2p lift``: publish a map as lines, or as a share of its points."""
+"""Command ``l2p lift``: publish a map hidden by a scheme, or a share of its points."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from l2p.cli.outputs import check_outputs
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.descriptors import load_described
-from l2p.io.line_files import line_ending, save_lines
+from l2p.io.hidden_files import hidden_ending, save_hidden
 from l2p.io.scene_files import load_scene, save_scene, scene_ending, truth_bytes
 from l2p.judging.accuracy import spacing
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
-from l2p.schemes.scheme import DEFAULT_SCHEME
-from l2p.show.tables import descriptor_text
+from l2p.schemes.scheme import DEFAULT_SCHEME, published_by
+from l2p.show.tables import descriptor_text, element_name
 from l2p.utility import POINTS
 
 
@@ -33,18 +33,23 @@ def lift(arguments: Namespace) -> None:
     asked = [name for name, wanted in {"rgb": arguments.rgb, "descriptor": described}.items() if wanted]
     if plain and arguments.truth is not None:
         raise InputError("got --truth for points that are published as they are; expected none, as nothing is hidden")
-    (scene_ending if plain else line_ending)(arguments.output, asked)
+    scheme = DEFAULT_SCHEME if plain else arguments.scheme
+    if plain:
+        scene_ending(arguments.output, asked)
+    else:
+        hidden_ending(arguments.output, published_by(scheme), asked)
     scene, source = described_scene(arguments.scene, arguments.descriptors)
     if arguments.rgb and scene.rgb is None:
         raise InputError(f"{arguments.scene} has no colours; leave out --rgb")
     drop, left_out = dropped(arguments, scene)
-    scheme = DEFAULT_SCHEME if plain else arguments.scheme
-    hidden = hide(scene, arguments.seed, arguments.fraction, scheme, arguments.rgb, described, drop=drop)
+    hidden = hide(
+        scene, arguments.seed, arguments.fraction, scheme, arguments.rgb, described, drop=drop, cell=arguments.cell
+    )
     if plain:
         save_scene(_points_of(hidden, arguments.rgb, described, scene), arguments.output, overwrite=arguments.force)
     else:
-        _save_lines(arguments, hidden, scene)
-    made = f"{len(hidden.truth)} points" if plain else f"{len(hidden.map)} lines"
+        _save_hidden(arguments, hidden, scene)
+    made = f"{len(hidden.truth)} points" if plain else f"{len(hidden.map)} {element_name(type(hidden.map))}"
     print(f"{arguments.output}: {made} of {len(scene)} points")
     if left_out:
         print(left_out)
@@ -73,10 +78,10 @@ def _points_of(hidden: Hiding, rgb: bool, described: bool, scene: Scene) -> Scen
     return Scene(chosen.xyz, **own, descriptor_kind=chosen.descriptor_kind if described else None)
 
 
-def _save_lines(arguments: Namespace, hidden: Hiding, scene: Scene) -> None:
+def _save_hidden(arguments: Namespace, hidden: Hiding, scene: Scene) -> None:
     with ExitStack() as stack:
         if arguments.truth is not None:
-            # Renamed after the lines are written, so that a failure leaves neither file.
+            # Renamed after the map is written, so that a failure leaves neither file.
             truth = stack.enter_context(atomic_file(arguments.truth, overwrite=arguments.force))
             truth.write(truth_bytes(replace(hidden.truth, spacing=spacing(scene.xyz))))
-        save_lines(hidden.map, arguments.output, overwrite=arguments.force)
+        save_hidden(hidden.map, arguments.output, overwrite=arguments.force)

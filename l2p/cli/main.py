@@ -12,12 +12,12 @@ from typing import Any, NoReturn
 from l2p.auditing import FRACTIONS
 from l2p.cli.flags import add_method, add_points
 from l2p.cli.localize_flags import add_decision, add_localization
+from l2p.cli.scheme_flags import add_scheme, scheme_table
 from l2p.errors import InputError, LostProcessError, sentence
 from l2p.judging import CLEANING
 from l2p.maps import ATTRIBUTES
-from l2p.schemes.scheme import DEFAULT_SCHEME, SCHEMES
+from l2p.schemes.scheme import SCHEMES
 from l2p.show.page import MOST_POINTS
-from l2p.utility import POINTS
 from l2p.version import __version__
 from l2p.work.memory import SHARE
 
@@ -90,16 +90,18 @@ def _command(commands: Any, name: str, what: str) -> argparse.ArgumentParser:
 
 
 def _add_lift(commands: Any) -> None:
-    lift = _command(commands, "lift", "replace the points of a scene by lines through them")
+    lift = _command(commands, "lift", "hide the points of a scene, by lines through them or by another scheme")
+    lift.formatter_class = argparse.RawDescriptionHelpFormatter
+    lift.epilog = scheme_table()
     lift.add_argument("scene", metavar="SCENE", help="COLMAP model folder (bin or txt), PLY, or npz with xyz")
     lift.add_argument(
         "-o",
         dest="output",
         metavar="LINES.npz",
         required=True,
-        help="line cloud to write; .ply and .obj to look at",
+        help="line cloud to write, .ply and .obj to look at; planes and permuted points go to .npz only",
     )
-    lift.add_argument("--truth", metavar="TRUTH.npz", help="also write the points, in the order of the lines")
+    lift.add_argument("--truth", metavar="TRUTH.npz", help="also write the points, and which line hides each")
     lift.add_argument(
         "--fraction",
         type=float,
@@ -107,13 +109,7 @@ def _add_lift(commands: Any) -> None:
         metavar="F",
         help="fraction of the points, in (0, 1] (default: %(default)s)",
     )
-    lift.add_argument(
-        "--scheme",
-        choices=(*SCHEMES, POINTS),
-        default=DEFAULT_SCHEME,
-        help=f"how points are hidden; {POINTS}: not at all, the chosen fraction of them is written as it is, to npz or "
-        "PLY (default: %(default)s)",
-    )
+    add_scheme(lift)
     lift.add_argument(
         "--seed",
         type=_seed,
@@ -137,7 +133,13 @@ def _add_lift(commands: Any) -> None:
 
 def _add_recover(commands: Any) -> None:
     recover = _command(commands, "recover", "recover the points behind a line cloud")
-    recover.add_argument("lines", metavar="LINES", help="line cloud: npz, PLY or OBJ line set, text of x y z dx dy dz")
+    recover.add_argument(
+        "lines",
+        metavar="LINES",
+        nargs="+",
+        help="line cloud: npz, PLY or OBJ line set, text of x y z dx dy dz; further ones are other releases of the "
+        "same map, in the same coordinates: their lines meet those of the first in its points",
+    )
     recover.add_argument(
         "-o",
         dest="output",
@@ -245,6 +247,21 @@ def _add_audit(commands: Any) -> None:
     _add_ignore(audit, "of the map")
     add_points(audit, "drop")
     add_points(audit, "region")
+    audit.add_argument(
+        "--schemes",
+        nargs="+",
+        default=[],
+        choices=tuple(SCHEMES),
+        metavar="NAME",
+        help="other ways to hide the map, to compare: names of l2p lift --scheme",
+    )
+    audit.add_argument(
+        "--releases",
+        type=int,
+        default=1,
+        metavar="R",
+        help="also tell what R releases of the map, each with directions of its own, give away together",
+    )
     audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
     add_decision(audit)
     audit.add_argument(

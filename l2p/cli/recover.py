@@ -1,7 +1,9 @@
-"""Command ``l2p recover``: on one process, or on several ranks; from the start, or from a finished round."""
+"""Command ``l2p recover``: on one process, or on several ranks; from the start, or from a finished round; from one line
+cloud, or from several releases of one map."""
 
 from __future__ import annotations
 
+import sys
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,14 +18,17 @@ from l2p.cli.flags import settings_of
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
 from l2p.errors import InputError
 from l2p.io.colmap import check_ids, check_model_output, save_recovered_model
-from l2p.io.line_files import load_lines
+from l2p.io.hidden_files import load_hidden
 from l2p.io.open3d import load_open3d
 from l2p.io.recovery_files import save_recovery
 from l2p.io.scene_files import load_truth
 from l2p.io.state_files import StateFile, state_path
 from l2p.judging.clean import inliers
 from l2p.maps.lines import LineCloud
+from l2p.maps.permuted import PermutedCloud
+from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
+from l2p.schemes.recognition import NOT_STATED
 from l2p.work.progress import terminal_progress
 
 if TYPE_CHECKING:
@@ -38,6 +43,7 @@ def recover(arguments: Namespace) -> None:
     """Run ``l2p recover`` alone, on ranks that are started here, or as one of the ranks of an external launcher."""
     from l2p.work.processes import among_others, joined, launch
 
+    _check_several(arguments, started_elsewhere=among_others())
     if arguments.processes not in (None, 1) and not among_others():
         _check_recover(arguments)
         code = launch(arguments.words, arguments.processes)
@@ -56,7 +62,8 @@ def recover(arguments: Namespace) -> None:
 
 def _recover(arguments: Namespace, place: Place) -> None:
     """Run the attack on rank 0, and write the result."""
-    from l2p.attacks.run import run
+    from l2p.attacks.by_scheme import by_own_attack, recover_own
+    from l2p.attacks.run import lines_of, run
     from l2p.work.work import Work
 
     if arguments.processes not in (None, place.shards.processes):
@@ -66,22 +73,41 @@ def _recover(arguments: Namespace, place: Place) -> None:
         )
     _check_recover(arguments)
     attack = _attack(arguments)
-    lines, ids = _recover_inputs(arguments)
+    releases, ids = _recover_inputs(arguments)
     set_threads(arguments.threads)
     state = StateFile(arguments.output, resume=arguments.resume, overwrite=arguments.force)
-    recovery = run(
-        lines,
-        attack,
-        device=place.device,
-        memory=arguments.memory,
-        work=Work(place.shards, state, terminal_progress()),
-        name=arguments.method,
-    )
+    if len(releases) > 1:
+        recovery = _recover_several([lines_of(each) for each in releases], arguments, place.device)
+    elif by_own_attack(releases[0], arguments.method, settings_of(arguments)):
+        recovery = recover_own(releases[0], terminal_progress())
+    else:
+        recovery = run(
+            lines_of(releases[0]),
+            attack,
+            device=place.device,
+            memory=arguments.memory,
+            work=Work(place.shards, state, terminal_progress()),
+            name=arguments.method,
+        )
+    _warn_of_lines(recovery)
     if arguments.seed is not None:
         recovery = replace(recovery, info={**recovery.info, "seed": arguments.seed})
     with _rounds_left(state):
         _write(recovery, ids, arguments)
     state.remove()
+
+
+def _recover_several(releases: list[LineCloud], arguments: Namespace, device: str) -> Recovery:
+    from l2p.attacks.several import recover_releases
+
+    return recover_releases(
+        releases,
+        arguments.method,
+        device=device,
+        memory=arguments.memory,
+        progress=terminal_progress(),
+        **settings_of(arguments),
+    )
 
 
 @contextmanager
@@ -95,6 +121,15 @@ def _rounds_left(state: StateFile) -> Iterator[None]:
         raise InputError(f"{error}; {state.path} has the rounds: add --resume") from error
 
 
+def _warn_of_lines(recovery: Recovery) -> None:
+    """Say on stderr what the scheme forbids, or what the lines were recognised as, unless they are uniform."""
+    if "sentence" in recovery.info:
+        print(f"l2p: {recovery.info['sentence']}", file=sys.stderr)
+    found = recovery.info.get("recognised")
+    if found is not None and not found["expected"]:
+        print(" ".join(["l2p:", found["sentence"], *([] if recovery.calibrated else [NOT_STATED])]), file=sys.stderr)
+
+
 def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments: Namespace) -> None:
     """Write the recovery, filtered, and its figures."""
     recovery = _filtered(recovery, arguments.min_confidence, arguments.clean)
@@ -102,19 +137,33 @@ def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments:
     stats = {
         "lines": len(recovery),
         "kept": kept,
-        "median_confidence": float(np.median(recovery.confidence)),
+        "median_confidence": float(np.median(recovery.confidence)) if recovery.calibrated else None,
         **recovery.info,
     }
     with figures_file(arguments, stats):
         _save(recovery, ids, arguments)
     if arguments.json != "-":
         print(f"{arguments.output}: {kept} of {len(recovery)} points, {recovery.info['seconds']:.1f} s")
+        if "met" in recovery.info:
+            other = "the other release" if len(recovery.info["releases"]) == 2 else "another release"
+            print(f"{recovery.info['met']:,} of {len(recovery):,} lines meet a line of {other} in their point")
+
+
+def _check_several(arguments: Namespace, started_elsewhere: bool) -> None:
+    """Refuse, for several releases, what only one can have: processes and rounds to resume."""
+    if len(arguments.lines) == 1:
+        return
+    for flag, given in (("--processes", arguments.processes not in (None, 1)), ("--resume", arguments.resume)):
+        if given:
+            raise InputError(f"got {flag} with {len(arguments.lines)} line clouds; expected it with one; leave it out")
+    if started_elsewhere:
+        raise InputError(f"got {len(arguments.lines)} line clouds in processes started elsewhere; expected one process")
 
 
 def _check_recover(arguments: Namespace) -> None:
     """Refuse wrong arguments before the lines are read."""
     model_output = _model_output(arguments)
-    given = (arguments.lines, arguments.model, arguments.truth, arguments.checkpoint)
+    given = (*arguments.lines, arguments.model, arguments.truth, arguments.checkpoint)
     inputs = [path for path in given if path is not None]
     outputs = [file_of(arguments.json)] if model_output else [arguments.output, file_of(arguments.json)]
     check_outputs(inputs, outputs, arguments.force)
@@ -154,11 +203,15 @@ def _attack(arguments: Namespace) -> Attack:
     return named_attack(arguments.method, **settings_of(arguments))
 
 
-def _recover_inputs(arguments: Namespace) -> tuple[LineCloud, Int[np.ndarray, " lines"] | None]:
-    """Read the lines, without ignored attributes, and, for a COLMAP model, the point id behind each."""
-    lines = load_lines(arguments.lines).without(arguments.ignore)
+def _recover_inputs(
+    arguments: Namespace,
+) -> tuple[list[LineCloud | PlaneCloud | PermutedCloud], Int[np.ndarray, " lines"] | None]:
+    """Read the releases, without ignored attributes, and, for a COLMAP model, the point id behind each line of the
+    first."""
+    releases = [load_hidden(path).without(arguments.ignore) for path in arguments.lines]
     if arguments.model is None:
-        return lines, None
+        return releases, None
+    lines = releases[0]
     truth = load_truth(arguments.truth)
     ids = truth.ids
     if ids is None:
@@ -166,7 +219,7 @@ def _recover_inputs(arguments: Namespace) -> tuple[LineCloud, Int[np.ndarray, " 
     if len(ids) != len(lines) or not truth.one_each:
         raise InputError(f"got {len(lines)} lines and {len(ids)} ids; expected the truth of these very lines")
     check_ids(arguments.model, ids)
-    return lines, ids
+    return releases, ids
 
 
 def _filtered(recovery: Recovery, min_confidence: float | None, clean: bool) -> Recovery:

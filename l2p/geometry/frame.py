@@ -75,8 +75,13 @@ class Frame:
         median = float(np.median(_distance(cloud.direction, foot, step)))
         scale = float(np.abs(foot).max(initial=0.0))
         unit = median if median > 1e-12 * scale else (scale or 1.0)
-        across = foot - step - np.sum((foot - step) * cloud.direction, axis=1, keepdims=True) * cloud.direction
-        return cls(start + step, unit, _axes(across / unit))
+        return cls.about(cloud, start + step, unit)
+
+    @classmethod
+    def about(cls, cloud: LineCloud, center: Float[np.ndarray, "3"], unit: float) -> Frame:
+        """Compute the axes of a frame whose centre and unit are given."""
+        across = np.cross(cloud.direction, cloud.moment - np.cross(center, cloud.direction))
+        return cls(center, unit, _axes(across / unit))
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values; in JSON they keep every bit."""

@@ -90,12 +90,44 @@ def nearest_points_to_lines(
     O(lines^2) time, O(lines k + tile) memory; from ``MANY`` lines on, nearly O(lines) time for points on surfaces,
     O(lines^(4/3)) for points that fill space, and up to 256 MB per thread besides the result.
     """
+    own = work.own(len(points))
+    return _points_to_lines(lines, own, points, k, scale, tile, work, apart=False)
+
+
+def nearest_points_to_other_lines(
+    queries: Lines,
+    points: Float[Tensor, "points 3"],
+    k: int,
+    *,
+    scale: Float[Tensor, " points"] | None = None,
+    tile: int = TILE,
+    work: Work = ALONE,
+) -> Nearest:
+    """Find the k points nearest to each line, where no point belongs to any of the lines.
+
+    Like :func:`nearest_points_to_lines`; all lines are queries of this process, and each has min(k, points) neighbours.
+    """
+    own = slice(0, len(queries.direction))
+    return _points_to_lines(queries, own, points, k, scale, tile, work, apart=True)
+
+
+def _points_to_lines(
+    lines: Lines,
+    own: slice,
+    points: Float[Tensor, "points 3"],
+    k: int,
+    scale: Float[Tensor, " points"] | None,
+    tile: int,
+    work: Work,
+    *,
+    apart: bool,
+) -> Nearest:
+    """Find the points nearest to the lines ``own``; unless ``apart``, point i belongs to line i."""
     title = "nearest points to lines"
     unit = torch.ones_like(points[:, 0]) if scale is None else scale
-    own = work.own(len(points))
     queries = lines.rows(own)
     if len(points) >= max(MANY, 16 * k) and k > 0:
-        index = nearest_points(plant(points, unit), queries, k, work, title, own.start)
+        index = nearest_points(plant(points, unit), queries, k, work, title, None if apart else own.start)
     else:
         left, right = _residual_factors(lines, points)
         right = right / unit[:, None]
@@ -103,7 +135,7 @@ def nearest_points_to_lines(
         def squared(rows: slice, columns: slice) -> Float[Tensor, "rows columns"]:
             return _sum_of_squares(left[:, rows], right[:, columns])
 
-        index = _search(squared, own, len(points), k, points, tile, work, title)
+        index = _search(squared, own, len(points), k, points, tile, work, title, apart=apart)
 
     def distance(rows: slice, found: Int[Tensor, "rows k"]) -> Float[Tensor, "rows k"]:
         shape = (*found.shape, 3)
@@ -157,8 +189,8 @@ def nearest_points_to_points(points: Float[Tensor, "lines 3"], k: int, *, work: 
 
 
 def _residual_factors(
-    lines: Lines, points: Float[Tensor, "lines 3"]
-) -> tuple[Float[Tensor, "3 lines 3"], Float[Tensor, "3 lines 3"]]:
+    lines: Lines, points: Float[Tensor, "points 3"]
+) -> tuple[Float[Tensor, "3 lines 3"], Float[Tensor, "3 points 3"]]:
     """Factors whose products are the three components of p x d - m, each of rank 3.
 
     The shorter form |p|^2 - (p . d)^2 ... loses half the digits for points far from the centre.
@@ -182,10 +214,22 @@ def _sum_of_squares(
 
 
 def _search(
-    squared: Kernel, own: slice, count: int, k: int, like: Tensor, tile: int, work: Work, title: str
+    squared: Kernel,
+    own: slice,
+    count: int,
+    k: int,
+    like: Tensor,
+    tile: int,
+    work: Work,
+    title: str,
+    *,
+    apart: bool = False,
 ) -> Int[Tensor, "queries k"]:
-    """Indices of the k smallest entries of some rows of a virtual (count, count) matrix without its diagonal."""
-    k = max(0, min(k, count - 1))
+    """Indices of the k smallest entries of some rows of a virtual matrix with ``count`` columns.
+
+    Unless ``apart``, rows and columns are the same things, and the diagonal is left out.
+    """
+    k = max(0, min(k, count if apart else count - 1))
     # 32 bits: at 100 000 lines and 500 neighbours this is the largest array.
     index = torch.full((own.stop - own.start, k), -1, dtype=torch.int32, device=like.device)
     if k == 0:
@@ -195,14 +239,14 @@ def _search(
     with work.task(title, total=len(index)) as advance:
         for begin in range(own.start, own.stop, rows):
             here = slice(begin, min(begin + rows, own.stop))
-            index[begin - own.start : here.stop - own.start] = _search_rows(squared, here, count, k, columns)
+            index[begin - own.start : here.stop - own.start] = _search_rows(squared, here, count, k, columns, apart)
             advance(here.stop - begin)
     return index
 
 
-def _search_rows(squared: Kernel, rows: slice, count: int, k: int, columns: int) -> Int[Tensor, "rows k"]:
+def _search_rows(squared: Kernel, rows: slice, count: int, k: int, columns: int, apart: bool) -> Int[Tensor, "rows k"]:
     values, index = None, None
-    own = torch.arange(rows.start, rows.stop)
+    own = torch.arange(0 if apart else rows.start, 0 if apart else rows.stop)
     for begin in range(0, count, columns):
         block = slice(begin, min(begin + columns, count))
         distance = squared(rows, block)

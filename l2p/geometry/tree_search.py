@@ -74,30 +74,32 @@ class _Found(NamedTuple):
 
 
 def nearest_points(
-    tree: PointTree, lines: Lines, k: int, work: Work, title: str, first: int = 0
+    tree: PointTree, lines: Lines, k: int, work: Work, title: str, first: int | None = 0
 ) -> Int[Tensor, "lines k"]:
     """Find the k points nearest to each line, in no order, without the own point ``first + i`` of line i.
 
-    The tree must have more than k points.
+    With ``first`` None, no point is a line's own. The tree must have more than k points.
     """
     count = len(lines.direction)
     index = torch.empty(count, k, dtype=torch.int32, device=lines.direction.device)
     rows = torch.arange(count, device=index.device)
     with work.task(title, total=count) as advance:
         # One more than k, for the line's own point.
-        radius = _guess(tree, lines, k + 1, work)
+        more = k if first is None else k + 1
+        radius = _guess(tree, lines, more, work)
         for growth in (1.0, *_GROWTH):
             missed = [rows[:0]]
-            search = partial(_search, tree, lines, rows, growth * radius, k + 1, tighten=growth == 1)
+            search = partial(_search, tree, lines, rows, growth * radius, more, tighten=growth == 1)
             for block, found in work.over_blocks(search, len(rows), even_size(len(rows), _BLOCK), index.device):
                 searched = rows[block]
-                index[searched] = _without_own(found.index, searched + first)
+                index[searched] = found.index if first is None else _without_own(found.index, searched + first)
                 radius[searched] = found.radius
                 missed.append(searched[~found.enough])
                 advance(len(searched) - len(missed[-1]))
             rows = torch.cat(missed)
         if len(rows):
-            index[rows] = _without_own(_among_all(tree, lines.rows(rows), k + 1).index, rows + first)
+            found = _among_all(tree, lines.rows(rows), more).index
+            index[rows] = found if first is None else _without_own(found, rows + first)
             advance(len(rows))
     return index
 

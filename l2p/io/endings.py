@@ -39,7 +39,8 @@ def checked_ending(
     ending = Path(path).suffix.lower()
     if ending not in held:
         *others, last = held
-        raise InputError(f"{path} ends with {ending!r}; expected {what} to end with {', '.join(others)} or {last}")
+        known = f"{', '.join(others)} or {last}" if others else last
+        raise InputError(f"{path} ends with {ending!r}; expected {what} to end with {known}")
     for name in attributes:
         if name not in held[ending]:
             raise InputError(f"{path} cannot hold {_NAMES[name]}; write .npz, or leave them out")

@@ -8,20 +8,25 @@ from typing import Any, TypeVar, overload
 
 from l2p.errors import InputError
 from l2p.io.descriptors import load_described
-from l2p.io.kinds import LINE_CLOUDS, SCENES, Kind, kind_of
-from l2p.io.line_files import load_lines, save_lines
+from l2p.io.hidden_files import load_hidden, load_permuted, load_planes, save_hidden
+from l2p.io.kinds import HIDDEN_MAPS, SCENES, Kind, kind_of
+from l2p.io.line_files import load_lines
 from l2p.io.recovery_files import load_recovery, save_recovery
 from l2p.io.scene_files import load_scene, load_truth, save_scene, save_truth
 from l2p.maps.lines import LineCloud
+from l2p.maps.permuted import PermutedCloud
+from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
-from l2p.maps.truth import Truth
+from l2p.maps.truth import MAPS, Truth
 
-Thing = TypeVar("Thing", Scene, LineCloud, Recovery, Truth)
+Thing = TypeVar("Thing", Scene, LineCloud, PlaneCloud, PermutedCloud, Recovery, Truth)
 
 _LOADERS: dict[type[Any], Callable[..., Any]] = {
     Scene: load_scene,
     LineCloud: load_lines,
+    PlaneCloud: load_planes,
+    PermutedCloud: load_permuted,
     Recovery: load_recovery,
     Truth: load_truth,
 }
@@ -41,14 +46,15 @@ def load(
     *,
     descriptors: str | PathLike[str] | bool = False,
 ) -> Any:
-    """Read a scene, line cloud, recovery or truth; the content of the file decides which, not its name.
+    """Read a scene, hidden map, recovery or truth; the content of the file decides which, not its name.
 
     Parameters
     ----------
     path : path
         A COLMAP model folder, PLY, npz, OBJ or text file (``docs/formats.md``).
     expected : type, optional
-        ``Scene``, ``LineCloud``, ``Recovery`` or ``Truth``; any other kind is refused.
+        ``Scene``, ``LineCloud``, ``PlaneCloud``, ``PermutedCloud``, ``Recovery`` or ``Truth``; any other kind is
+        refused.
     descriptors : path or bool
         For a scene: a file with the descriptors of its points (``docs/formats.md``); True searches beside a COLMAP
         model, and requires them of an npz. By default an npz keeps its own, and a model has none.
@@ -78,15 +84,22 @@ def load(
     kind = kind_of(path)
     if kind is Kind.CHECKPOINT:
         raise InputError(f"{path} is {kind.value}; give it to l2p.recover(lines, checkpoint=...)")
-    if kind in LINE_CLOUDS:
-        return load_lines(path)
+    if kind in HIDDEN_MAPS:
+        return load_hidden(path)
     if kind in SCENES:
         return load_scene(path)
     return load_recovery(path) if kind is Kind.RECOVERY else load_truth(path)
 
 
-def save(thing: Scene | LineCloud | Recovery | Truth, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a line cloud (npz, PLY, OBJ), a recovery (npz, PLY), a truth (npz) or a scene (npz, PLY), whole or not.
+def save(
+    thing: Scene | LineCloud | PlaneCloud | PermutedCloud | Recovery | Truth,
+    path: str | PathLike[str],
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a hidden map, a recovery, a truth or a scene, whole or not at all.
+
+    Lines go to npz, PLY or OBJ, planes, permuted points and truths to npz, recoveries and scenes to npz or PLY.
 
     Raises
     ------
@@ -96,8 +109,8 @@ def save(thing: Scene | LineCloud | Recovery | Truth, path: str | PathLike[str],
     TypeError
         If ``thing`` is of none of these types.
     """
-    if isinstance(thing, LineCloud):
-        save_lines(thing, path, overwrite=overwrite)
+    if isinstance(thing, MAPS):
+        save_hidden(thing, path, overwrite=overwrite)
     elif isinstance(thing, Recovery):
         save_recovery(thing, path, overwrite=overwrite)
     elif isinstance(thing, Truth):
@@ -105,4 +118,4 @@ def save(thing: Scene | LineCloud | Recovery | Truth, path: str | PathLike[str],
     elif isinstance(thing, Scene):
         save_scene(thing, path, overwrite=overwrite)
     else:
-        raise TypeError(f"got a {type(thing).__name__}; expected a LineCloud, Recovery, Truth or Scene")
+        raise TypeError(f"got a {type(thing).__name__}; expected a hidden map, a Recovery, Truth or Scene")

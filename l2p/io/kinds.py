@@ -1,4 +1,4 @@
-"""Kinds of files, recognised by content: scenes, line clouds, recoveries, truths and checkpoints."""
+"""Kinds of files, recognised by content: scenes, hidden maps, recoveries, truths and checkpoints."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ class Kind(Enum):
     LINES_PLY = "a line cloud (PLY)"
     LINES_OBJ = "a line cloud (OBJ)"
     LINES_TEXT = "a line cloud (text)"
+    PLANES = "a plane cloud (npz)"
+    PERMUTED = "a permuted cloud (npz)"
     RECOVERY = "a recovery (npz)"
     TRUTH = "a truth (npz)"
     CHECKPOINT = "a checkpoint (safetensors)"
@@ -35,10 +37,14 @@ class Kind(Enum):
 
 SCENES = (Kind.SCENE_MODEL, Kind.SCENE_PLY, Kind.SCENE_NPZ)
 LINE_CLOUDS = (Kind.LINES_NPZ, Kind.LINES_PLY, Kind.LINES_OBJ, Kind.LINES_TEXT)
+#: What schemes publish.
+HIDDEN_MAPS = (*LINE_CLOUDS, Kind.PLANES, Kind.PERMUTED)
 
 # Kinds of npz files by the arrays that they need; the first match counts.
 _NPZ_KINDS = (
     (Kind.LINES_NPZ, {"direction", "moment"}),
+    (Kind.PLANES, {"normal", "offset"}),
+    (Kind.PERMUTED, {"permuted"}),
     (Kind.RECOVERY, {"xyz", "confidence", "beta"}),
     (Kind.TRUTH, {"xyz", "index", "spacing"}),
     (Kind.SCENE_NPZ, {"xyz"}),
@@ -93,7 +99,8 @@ def _npz_kind(path: str | PathLike[str]) -> Kind:
             return kind
     names = ", ".join(sorted(keys)[:8]) or "nothing"
     raise InputError(
-        f"{path} holds {names}; expected direction and moment (a line cloud) or xyz (a scene, a recovery, a truth)"
+        f"{path} holds {names}; expected direction and moment (a line cloud), normal and offset (planes), permuted "
+        "(permuted points) or xyz (a scene, a recovery, a truth)"
     )
 
 

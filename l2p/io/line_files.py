@@ -17,7 +17,7 @@ from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb
 from l2p.io.text_lines import read_obj_segments, read_text_rows
-from l2p.maps.appearance import Appearance
+from l2p.maps.appearance import NO_APPEARANCE, Appearance
 from l2p.maps.lines import LineCloud
 
 #: Version of written npz line clouds; older ones stay readable.
@@ -102,27 +102,42 @@ def segments(cloud: LineCloud) -> tuple[Float[np.ndarray, "lines 3"], Float[np.n
 
 
 def _read_npz(path: str | PathLike[str]) -> LineCloud:
-    fields = Fields(path, ("direction", "moment", "rgb", "descriptor", "descriptor_kind", "scheme", "version"))
+    seconds = ("second_rgb", "second_descriptor")
+    fields = Fields(
+        path, ("direction", "moment", "rgb", "descriptor", "descriptor_kind", *seconds, "scheme", "version")
+    )
     fields.take_version(LINE_VERSION)
     direction = fields.take("direction", "fiu", (None, 3))
     moment = fields.take("moment", "fiu", (len(direction), 3))
     rows = len(direction)
     rgb, scheme = fields.take_rgb(rows), fields.take_text("scheme")
-    return LineCloud(direction, moment, rgb, scheme, *fields.take_descriptor(rows))
+    second = Appearance(fields.take_rgb(rows, seconds[0]), *fields.take_descriptor(rows, seconds[1]))
+    return LineCloud(direction, moment, rgb, scheme, *fields.take_descriptor(rows), second if second.names else None)
 
 
 def _npz_bytes(cloud: LineCloud) -> bytes:
+    second = NO_APPEARANCE if cloud.second is None else cloud.second
     return npz_bytes(
         {
             "direction": cloud.direction,
             "moment": cloud.moment,
-            "rgb": _plain(cloud.rgb),
-            "descriptor": _plain(cloud.descriptor),
-            "descriptor_kind": None if cloud.descriptor_kind is None else np.array(cloud.descriptor_kind),
+            **appearance_arrays(cloud.appearance),
+            "second_rgb": _plain(second.rgb),
+            "second_descriptor": _plain(second.descriptor),
             "scheme": np.array(cloud.scheme),
             "version": np.array(LINE_VERSION),
         }
     )
+
+
+def appearance_arrays(appearance: Appearance) -> dict[str, Any]:
+    """The arrays of an npz that hold colours and descriptors; None for those that are not there."""
+    kind = appearance.descriptor_kind
+    return {
+        "rgb": _plain(appearance.rgb),
+        "descriptor": _plain(appearance.descriptor),
+        "descriptor_kind": None if kind is None else np.array(kind),
+    }
 
 
 def _plain(array: np.ndarray | None) -> Any:

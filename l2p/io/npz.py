@@ -158,20 +158,20 @@ class Fields:
         """Return the string ``name``, or None if the file lacks it."""
         return self.take_text(name) if name in self._arrays else None
 
-    def take_rgb(self, rows: int) -> np.ndarray | None:
+    def take_rgb(self, rows: int, name: str = "rgb") -> np.ndarray | None:
         """Return the colours, (rows, 3) uint8, or None if the file has none."""
-        rgb = self.take_optional("rgb", "iu", (rows, 3))
+        rgb = self.take_optional(name, "iu", (rows, 3))
         if rgb is not None and rgb.dtype != np.uint8:
-            raise InputError(f"{self.path} has rgb of type {rgb.dtype}; expected uint8, 0 to 255")
+            raise InputError(f"{self.path} has {name} of type {rgb.dtype}; expected uint8, 0 to 255")
         return rgb
 
-    def take_descriptor(self, rows: int) -> tuple[np.ndarray | None, str | None]:
+    def take_descriptor(self, rows: int, name: str = "descriptor") -> tuple[np.ndarray | None, str | None]:
         """Return the descriptors, (rows, length) of uint8 or of floating point, and their kind; None twice without."""
-        descriptor = self.take_optional("descriptor", "fiu", (rows, None))
+        descriptor = self.take_optional(name, "fiu", (rows, None))
         if descriptor is None:
             return None, None
         if descriptor.dtype.kind != "f" and descriptor.dtype != np.uint8:
-            raise InputError(f"{self.path} has descriptors of type {descriptor.dtype}; expected uint8 or float32")
+            raise InputError(f"{self.path} has {name}s of type {descriptor.dtype}; expected uint8 or float32")
         return descriptor, self.take_optional_text("descriptor_kind")
 
     def take_element(self, rows: int) -> np.ndarray:

@@ -12,7 +12,7 @@ from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.colmap import read_model, scene_of_model
 from l2p.io.endings import checked_ending
-from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
+from l2p.io.kinds import HIDDEN_MAPS, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb, point_records
 from l2p.maps.scene import Scene
@@ -36,7 +36,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
         If it is damaged, of another kind, has no points, or has points that are not finite.
     """
     kind = kind_of(path)
-    if kind in LINE_CLOUDS or kind is Kind.CHECKPOINT:
+    if kind in HIDDEN_MAPS or kind is Kind.CHECKPOINT:
         raise InputError(f"{path} is {kind.value}; expected a scene: a COLMAP model folder, a PLY or an npz with xyz")
     if kind is Kind.SCENE_MODEL:
         return checked_scene(path, scene_of_model(read_model(path)))

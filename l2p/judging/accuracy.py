@@ -134,9 +134,24 @@ class Outcome:
         return bool(self.confidence.min() < self.confidence.max())
 
     @property
+    def fakes(self) -> Bool[np.ndarray, " rows"] | None:
+        """Mask of the recovered rows whose element hides no point; None if there are none of them, or only them."""
+        fake = ~np.isin(self.recovery.element, self.truth.element)
+        return fake if fake.any() and not fake.all() else None
+
+    @property
     def spacings(self) -> Float[np.ndarray, " points"]:
         """Errors in spacings."""
         return self.error / self.spacing
+
+    @cached_property
+    def both(self) -> Bool[np.ndarray, " pairs"] | None:
+        """Mask of the lines with two points whose points are both within 1 spacing; None without such lines."""
+        element, count = np.unique(self.truth.element, return_counts=True)
+        if not (count == 2).any():
+            return None
+        wrong = np.isin(element, self.truth.element[~self.inside])
+        return ~wrong[count == 2]
 
     @cached_property
     def right(self) -> Bool[np.ndarray, "lines k"] | None:
@@ -166,7 +181,10 @@ def compare(
 
 
 def _scale(truth: Truth) -> float:
-    return spacing(truth.xyz) if truth.spacing is None else truth.spacing
+    if truth.spacing is not None:
+        return truth.spacing
+    # A point that several elements hide counts once.
+    return spacing(truth.xyz[np.unique(truth.index, return_index=True)[1]])
 
 
 def _distance(recovery: Recovery, truth: Truth, row: Int[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:

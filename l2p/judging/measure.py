@@ -51,7 +51,9 @@ class Need(Enum):
     RANKS = auto()  # a confidence that differs from point to point
     METRIC = auto()  # a scene in metres
     LOCALIZED = auto()  # cameras that were localized in the map
+    FAKES = auto()  # elements of the map that hide no point
     NEIGHBORS = auto()  # the neighbours that an attack used, and lines that hide one point each
+    PAIRS = auto()  # lines that hide two points each
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,9 @@ def _met(outcome: Outcome) -> set[Need | None]:
         Need.RANKS: outcome.ranks,
         Need.METRIC: outcome.metric,
         Need.LOCALIZED: outcome.localization is not None,
+        Need.FAKES: outcome.fakes is not None,
         Need.NEIGHBORS: outcome.right is not None,
+        Need.PAIRS: outcome.both is not None,
     }
     return {need for need, met in needs.items() if met}
 
@@ -233,6 +237,27 @@ CONFIDENCE = Measure(
 )
 
 
+def _fakes(outcome: Outcome) -> dict[str, Value]:
+    fakes = outcome.fakes
+    assert fakes is not None
+    return {"fakes_auc": ranking(outcome.recovery.confidence, ~fakes)}
+
+
+FAKES = Measure(
+    (
+        Figure(
+            "fakes_auc",
+            "real elements ranked above fakes",
+            need=Need.FAKES,
+            page=False,
+            note="Real elements ranked above fakes: probability that an element that hides a point has a greater "
+            "confidence than one that hides none.",
+        ),
+    ),
+    _fakes,
+)
+
+
 def _neighbours(outcome: Outcome) -> dict[str, Value]:
     recovery = outcome.recovery
     assert recovery.neighbors is not None
@@ -251,6 +276,18 @@ NEIGHBOURS = Measure(
         _of_neighbours("neighbors_used", "neighbours used", Form.NUMBER),
     ),
     _neighbours,
+)
+
+
+def _pairs(outcome: Outcome) -> dict[str, Value]:
+    both = outcome.both
+    assert both is not None
+    return {"both_within_1": float(both.mean())}
+
+
+PAIRS = Measure(
+    (Figure("both_within_1", "both points of a line within 1 spacing", Form.SHARE, need=Need.PAIRS, page=False),),
+    _pairs,
 )
 
 
@@ -283,4 +320,4 @@ def _localized(what: str) -> tuple[Figure, ...]:
 LOCALIZATION = Measure((*_localized("lines"), *_localized("points")), _localization)
 
 #: Every measure, in the order of the tables.
-MEASURES: tuple[Measure, ...] = (ACCURACY, CONFIDENCE, NEIGHBOURS, LOCALIZATION)
+MEASURES: tuple[Measure, ...] = (ACCURACY, CONFIDENCE, FAKES, NEIGHBOURS, PAIRS, LOCALIZATION)

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate
 from l2p.attacks.learned.learned import Learned
+from l2p.attacks.structured import STRUCTURED
 from l2p.attacks.votes import least_squares, member, vote
 from l2p.checks import finite_rows
 from l2p.errors import InputError
@@ -57,8 +58,11 @@ class Oracle(Attack):
 
     Notes
     -----
-    It is not an upper bound for attacks: the nearest neighbours of a point reveal something about the point itself.
+    It is not an upper bound for attacks: the nearest neighbours of a point reveal something about the point itself. Of
+    lines through centres, only neighbours of other families vote, fewer than k.
     """
+
+    schemes = STRUCTURED
 
     def __init__(
         self,
@@ -90,6 +94,9 @@ class Oracle(Attack):
         """Vote once with the true neighbours."""
         _check_count(state, self.points)
         neighbors = _in_order(self.neighbors(), state)[work.own(len(state))]
+        family = state.structure.family
+        if family is not None:
+            neighbors = neighbors.masked_fill(family[neighbors] == family[work.own(len(state)), None], -1)
         if self.rule == "least_squares":
             return least_squares(state.lines, neighbors, work)
         return vote(state.lines, neighbors, work=work)
@@ -187,6 +194,8 @@ class LeaveOneOut(Attack):
         If the network of ``sees`` does not use appearance.
     """
 
+    schemes = STRUCTURED
+
     def __init__(self, points: Float[np.ndarray, "lines 3"], k: int = 128, sees: Learned | None = None) -> None:
         _check_number("k", k)
         if sees is not None and not sees.network.config.appearance:
@@ -208,6 +217,8 @@ class LeaveOneOut(Attack):
         truth = frame.enter_points(points, lines.direction.device, lines.direction.dtype)
         near = nearest_points_to_lines(lines, truth, self.k, work=work)
         true_beta = ((truth - lines.foot) * lines.direction).sum(dim=1)
+        if state.structure.twin is not None:
+            near = _without_partner(near, lines, truth, true_beta[state.structure.twin], work)
         unit = nearest_neighbors(points, SPACING_NEIGHBOR).distance[:, -1:]
         # One line, or points that coincide, have no scale: use the unit of the frame.
         scale = (float(np.median(unit)) / frame.unit if unit.size else 0.0) or 1.0
@@ -239,6 +250,21 @@ class LeaveOneOut(Attack):
         """Return points per line and kernel widths; and powers and the file of the embedding, if it sees anything."""
         seen = {} if self.sees is None else {"powers": list(POWERS), **self.sees.source}
         return {"k": self.k, "bandwidths": list(BANDWIDTHS), **seen}
+
+
+def _without_partner(
+    near: Nearest,
+    lines: Lines,
+    truth: Float[Tensor, "points 3"],
+    partner: Float[Tensor, " lines"],
+    work: Work,
+) -> Nearest:
+    """Leave out the points around the other point of each line, whose place is known, too: half of those that are near
+    the line, the nearest to it."""
+    own = work.own(len(partner))
+    apart = (feet(lines.rows(own), truth, near.index).beta - partner[own, None]).abs()
+    far = apart > apart.median(dim=1, keepdim=True).values
+    return Nearest(near.index, near.distance.masked_fill(~far, torch.inf))
 
 
 def known_at_sight(attack: Learned, appearance: Appearance) -> tuple[str, ...]:

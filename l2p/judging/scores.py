@@ -41,6 +41,8 @@ class Scores:
         equal size; None if the confidence only ranks.
     confidence_auc : float or None
         Probability that a point within 1 spacing has a greater confidence than one outside.
+    fakes_auc : float or None
+        Probability that an element that hides a point has a greater confidence than a fake; None without fakes.
     neighbor_precision, under_half_outliers, neighbors_used : float or None
         See :class:`l2p.judging.neighbours.NeighborScores`; None without neighbours.
     """

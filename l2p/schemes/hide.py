@@ -1,8 +1,9 @@
-"""Hiding: the points of a scene become a line cloud that does not show them, and the secret truth."""
+"""Hiding: the points of a scene become a map that does not show them, and the secret truth."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -10,7 +11,6 @@ from jaxtyping import Bool, Float, Int, UInt8
 from l2p.checks import check_fraction, finite_rows
 from l2p.errors import InputError
 from l2p.maps.appearance import Appearance
-from l2p.maps.lines import LineCloud
 from l2p.maps.region import kept_rows
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Hiding
@@ -28,8 +28,9 @@ def hide(
     descriptor: np.ndarray | bool | None = None,
     descriptor_kind: str | None = None,
     drop: Bool[np.ndarray, " points"] | None = None,
+    cell: float | None = None,
 ) -> Hiding:
-    """Hide points in a line cloud, and return it with the truth.
+    """Hide points in a line cloud (or planes, or permuted points), and return it with the truth.
 
     Parameters
     ----------
@@ -39,10 +40,11 @@ def hide(
         Seed of directions and subset. None draws one from the system. Hide a map for publication without a seed: anyone
         who guesses it can redraw the directions in the order of the points.
     fraction : float
-        Fraction of the points that is hidden, in (0, 1]; at least one point.
+        Fraction of the points that is hidden, in (0, 1]; at least one point. The scheme sees only these.
     scheme : str
-        A name of :data:`l2p.schemes.scheme.SCHEMES`. ``uniform``: a line of random direction through each point
-        (Speciale et al., CVPR 2019).
+        A name of :data:`l2p.schemes.scheme.SCHEMES` (``docs/schemes.md``). ``uniform``: a line of random direction
+        through each point (Speciale et al., CVPR 2019). Schemes of planes give a :class:`l2p.PlaneCloud`, ``permuted``
+        a :class:`l2p.PermutedCloud`, all others a :class:`l2p.LineCloud`.
     rgb : (points, 3) uint8 or bool, optional
         Colours to store with the lines; True stores those of the scene. They help an attacker; leave them out of a
         published map.
@@ -54,26 +56,29 @@ def hide(
     drop : (points,) bool, optional
         True for each point to leave out, before the fraction is drawn: the lines are those of a scene that never had
         it. Masks of boxes: ``Box((x0, y0, z0), (x1, y1, z1)).contains(xyz)`` (:mod:`l2p.maps.region`).
+    cell : float, optional
+        Side of the cells of ``rays-voxel``, scene units (:class:`l2p.schemes.rays_voxel.RaysVoxel`).
 
     Returns
     -------
     Hiding
-        The lines, ordered by direction, and the truth: ``truth.xyz[i]`` lies behind line ``truth.element[i]``. Its
-        spacing is not measured.
+        The map and the truth: ``truth.xyz[i]`` lies behind line (plane, stored point) ``truth.element[i]``. Points that
+        the scheme left out have no row, those in several planes have several. Its spacing is not measured.
 
     Raises
     ------
     InputError
-        If there are no points, a point is not finite, the fraction is outside (0, 1], the scheme is unknown, colours or
-        descriptors are not those of the points, or none or all of the points are dropped.
+        If there are no points, a point is not finite, the fraction is outside (0, 1], the scheme is unknown or needs
+        more points, colours or descriptors are not those of the points, or none or all of the points are dropped.
 
     Notes
     -----
     Information that could reveal a point, and its removal:
 
-    - *Order*: SfM models store neighbours side by side. Lines are sorted by their direction, which is independent
-      of the point.
-    - *Sign and origin*: the direction is turned into one half-space, and the moment does not depend on the position.
+    - *Order*: SfM models store neighbours side by side. Lines are sorted by their direction where it is independent of
+      the points, and in random order otherwise.
+    - *Sign and origin*: the direction is turned into one half-space (but for spheres, whose scheme publishes the sign),
+      and the moment does not depend on the position.
     - *Rounding*: points that were once stored with few digits (single precision, text) lie on a lattice, and a line
       in double precision passes close to one lattice point only: its own. Each point is therefore moved within its
       lattice cell before it is lifted (:func:`l2p.schemes.rounding.lattice_step`); the shift is below the precision of
@@ -96,7 +101,7 @@ def hide(
     if len(xyz) == 0:
         raise InputError("got a scene without points; expected at least one point to lift")
     check_fraction(fraction)
-    way, appearance = scheme_of(scheme), _published(scene, rgb, descriptor, descriptor_kind)
+    way, appearance = scheme_of(scheme, cell), _published(scene, rgb, descriptor, descriptor_kind)
     kept = np.arange(len(xyz)) if drop is None else kept_rows(drop, len(xyz))
     if drop is not None:
         # Before anything is computed, also the lattice of rounded coordinates.
@@ -118,14 +123,15 @@ def lift(
     descriptor: np.ndarray | bool | None = None,
     descriptor_kind: str | None = None,
     drop: Bool[np.ndarray, " points"] | None = None,
-) -> LineCloud:
-    """Return the line cloud of :func:`hide`, without the truth.
+    cell: float | None = None,
+) -> Any:
+    """Return the map of :func:`hide`, without the truth: a line cloud, or what else the scheme publishes.
 
     >>> import numpy as np
     >>> len(lift(np.zeros((4, 3)), seed=0))
     4
     """
-    return hide(points, seed, fraction, scheme, rgb, descriptor, descriptor_kind, drop).map
+    return hide(points, seed, fraction, scheme, rgb, descriptor, descriptor_kind, drop, cell).map
 
 
 def _subset(count: int, fraction: float, rng: np.random.Generator) -> Int[np.ndarray, " chosen"]:

@@ -54,3 +54,23 @@ def _rounded(
 def _last_digit(value: Float[np.ndarray, "*shape"], digits: int) -> Float[np.ndarray, "*shape"]:
     """One unit in the last of ``digits`` significant digits."""
     return 10.0 ** (np.floor(np.log10(np.where(value == 0, 1, np.abs(value)))) - (digits - 1))
+
+
+def directions(
+    points: Float[np.ndarray, "lines 3"], origins: Float[np.ndarray, "lines 3"], rng: np.random.Generator
+) -> Float[np.ndarray, "lines 3"]:
+    """Unit vectors from origins to points; of random direction where both are the same to the last digit.
+
+    Notes
+    -----
+    Far from the origin of a map, coordinates have few digits behind the point, so a difference of two of them is a
+    multiple of their last digit; a direction is more precise than that, and only few distances along it would give
+    such multiples. The difference is therefore moved at random within the last digit of the coordinates.
+    """
+    step = np.spacing(np.maximum(np.abs(points), np.abs(origins)).max(axis=1, initial=0.0, keepdims=True))
+    apart = points - origins
+    same = np.abs(apart).max(axis=1, initial=0.0, keepdims=True) <= 2 * step
+    moved = apart + step * rng.uniform(-0.5, 0.5, size=apart.shape)
+    vector = np.where(same, rng.normal(size=apart.shape), moved)
+    vector = vector / np.abs(vector).max(axis=1, initial=0.0, keepdims=True)  # squares of tiny numbers would be 0
+    return vector / np.linalg.norm(vector, axis=1, keepdims=True)

@@ -17,13 +17,17 @@ from rich.table import Table
 
 from l2p.errors import InputError, sentence
 from l2p.io.descriptors import file_beside
-from l2p.io.kinds import LINE_CLOUDS, SCENES, Kind, kind_of
-from l2p.io.line_files import load_lines
+from l2p.io.hidden_files import load_hidden
+from l2p.io.kinds import HIDDEN_MAPS, SCENES, Kind, kind_of
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
 from l2p.judging.measure import Form, figures
 from l2p.judging.scores import Scores
 from l2p.maps.appearance import Appearance
+from l2p.maps.lines import LineCloud
+from l2p.maps.permuted import PermutedCloud
+from l2p.maps.planes import PlaneCloud
+from l2p.schemes.recognition import recognise
 from l2p.utility.localization import Localization
 
 if TYPE_CHECKING:
@@ -119,19 +123,30 @@ def console() -> Console:
 
 
 def _describe(path: str | PathLike[str], kind: Kind) -> Sequence[tuple[str, str]]:
-    if kind in LINE_CLOUDS:
-        return _describe_lines(path)
+    if kind in HIDDEN_MAPS:
+        return _describe_hidden(path)
     if kind in SCENES:
         return _describe_scene(path)
     return _describe_recovery(path) if kind is Kind.RECOVERY else _describe_truth(path)
 
 
-def _describe_lines(path: str | PathLike[str]) -> list[tuple[str, str]]:
-    cloud = load_lines(path)
+def _describe_hidden(path: str | PathLike[str]) -> list[tuple[str, str]]:
+    cloud = load_hidden(path)
     known = _describe_appearance(cloud.appearance)
     names = " and ".join(word for word, value in known if value != "no")
-    gives = f"the lines; an attacker also uses the {names}" if names else "the lines alone"
-    return [("lines", str(len(cloud))), ("scheme", cloud.scheme), *known, ("gives away", gives)]
+    what = element_name(type(cloud))
+    gives = f"the {what}; an attacker also uses the {names}" if names else f"the {what} alone"
+    rows = [(what, str(len(cloud))), ("scheme", cloud.scheme), *known]
+    if isinstance(cloud, LineCloud):
+        rows.insert(2, ("recognised", recognise(cloud).sentence))
+    if isinstance(cloud, LineCloud) and cloud.second is not None:
+        rows.append(("points of a line", "two, each with its own appearance"))
+    return [*rows, ("gives away", gives)]
+
+
+def element_name(published: type[Any]) -> str:
+    """What the elements of such a hidden map are called, in the plural."""
+    return {LineCloud: "lines", PlaneCloud: "planes", PermutedCloud: "permuted points"}[published]
 
 
 def _describe_scene(path: str | PathLike[str]) -> list[tuple[str, str]]:
@@ -172,10 +187,21 @@ def _describe_recovery(path: str | PathLike[str]) -> list[tuple[str, str]]:
         ("kept", str(len(recovery) if recovery.kept is None else int(recovery.kept.sum()))),
         ("method", str(recovery.info.get("method", "unknown"))),
         *_checkpoint_of(recovery.info.get("settings")),
-        ("confidence (quartiles)", f"{low:.2f} {middle:.2f} {high:.2f}"),
+        *_recognised(recovery.info.get("recognised")),
+        (
+            f"confidence{'' if recovery.calibrated else ', ranks only'} (quartiles)",
+            f"{low:.2f} {middle:.2f} {high:.2f}",
+        ),
         *_extent(recovery.xyz),
         ("colours", _yes(recovery.rgb)),
     ]
+
+
+def _recognised(found: Any) -> list[tuple[str, str]]:
+    """What the lines of a recovery were recognised as, if its file says it."""
+    if not isinstance(found, dict) or "sentence" not in found:
+        return []
+    return [("lines recognised", str(found["sentence"]))]
 
 
 def _checkpoint_of(settings: Any) -> list[tuple[str, str]]:

@@ -20,6 +20,8 @@ from l2p.utility.queries import Pose
 #: Distance of a line's origin from its foot, in units of the frame. poselib's six-point solver drops poses with a point
 #: behind the origin of its line, so all points have to be in front of it.
 _REACH = 100.0
+#: Distance of a line from a common point that counts as rounding, in units of the distance of that point from 0.
+_SAME = 1e-12
 #: The axis that poselib's upright solvers take for gravity.
 _UPRIGHT = np.array([0.0, 1.0, 0.0])
 
@@ -167,12 +169,22 @@ class LineLandmarks(_InFrame):
     Parameters
     ----------
     lines : LineCloud
+
+    Raises
+    ------
+    InputError
+        If all lines meet in one point: a camera then sees the same from any distance to it.
     """
 
     sample: ClassVar[int] = 6
     upright_sample: ClassVar[int] = 4
 
     def __init__(self, lines: LineCloud) -> None:
+        if _meet(lines):
+            raise InputError(
+                f"got {len(lines)} lines that all meet in one point; expected others, since the distance of a camera "
+                "from that point does not follow from them"
+            )
         frame = Frame.of(lines)
         self.center, self.unit = frame.center, frame.unit
         self.direction = lines.direction
@@ -234,6 +246,18 @@ def poselib() -> Any:
     except ImportError as error:
         raise InputError("localization needs the package poselib; install it: pip install 'l2p[utility]'") from error
     return solvers
+
+
+def _meet(lines: LineCloud) -> bool:
+    """Whether all lines, three or more, meet in one point, up to rounding."""
+    if len(lines) < 3:
+        return False
+    foot, direction = lines.origin, lines.direction
+    # Across each line, the common point c has the place of the line: (I - d d^T) c = foot.
+    across = len(lines) * np.eye(3) - direction.T @ direction
+    common = np.linalg.lstsq(across, foot.sum(axis=0), rcond=None)[0]
+    off = common - foot - np.sum((common - foot) * direction, axis=1, keepdims=True) * direction
+    return bool(np.abs(off).max() <= _SAME * np.abs(common).max())
 
 
 def _stacked(poses: list[Any]) -> Poses:

@@ -17,10 +17,11 @@ from l2p.io.colmap import read_model
 from l2p.io.descriptors import opened_features
 from l2p.io.kinds import Kind, kind_of
 from l2p.io.scene_files import load_scene
+from l2p.maps.lines import LineCloud
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
-from l2p.schemes.scheme import DEFAULT_SCHEME, SCHEMES
+from l2p.schemes.scheme import DEFAULT_SCHEME, SCHEMES, published_by
 from l2p.utility import BY_DESCRIPTORS, BY_TRACKS, FRACTIONS, MATCHING, POINTS, WRONG
 from l2p.utility.landmarks import Gravity, Landmarks, LineLandmarks, PointLandmarks, poselib
 from l2p.utility.localization import Attempt, Localization, Localized
@@ -52,7 +53,15 @@ class Release:
 
     @classmethod
     def of_lines(cls, hidden: Hiding, fraction: float, points: int) -> Release:
-        """Publish the lines of a hidden map."""
+        """Publish the lines of a hidden map; both points of a pair have the same landmark, and fakes have none.
+
+        Raises
+        ------
+        InputError
+            If the map has no lines, or all of them meet in one point.
+        """
+        if not isinstance(hidden.map, LineCloud):
+            raise InputError(_no_lines(hidden.map.scheme))
         place = np.full(points, -1)
         place[hidden.truth.index] = hidden.truth.element
         return cls(hidden.map.scheme, fraction, LineLandmarks(hidden.map), place)
@@ -163,7 +172,8 @@ def localize(
         If the model or the features do not exist.
     InputError
         If the model cannot be localized in (no images, fewer than three, no observations, cameras that cannot be
-        undistorted), a setting is out of range, or poselib is not installed.
+        undistorted), a scheme publishes no lines (planes, permuted points) or only lines that meet in one point
+        (spheres), a setting is out of range, or poselib is not installed.
 
     Notes
     -----
@@ -189,6 +199,8 @@ def localize(
     for scheme in schemes:
         if scheme not in known:
             raise InputError(f"got scheme {scheme!r}; expected some of {', '.join(known)}")
+        if scheme != POINTS and published_by(scheme) is not LineCloud:
+            raise InputError(_no_lines(scheme))
     scene, queries = read_queries(model, features, matching == BY_DESCRIPTORS)
     releases = []
     for share in sorted(set(fractions), reverse=True):
@@ -204,14 +216,20 @@ def localize_hidden(
     metric: bool = False,
     progress: Progress = NO_PROGRESS,
     name: str = "map",
+    others: Mapping[tuple[str, float], Hiding] | None = None,
 ) -> Localization:
-    """Localize queries in hidden maps, by fraction, and in their points as they are."""
+    """Localize queries in hidden maps, by fraction, in their points as they are, and in the lines of ``others``.
+
+    Other maps are given by scheme and fraction.
+    """
     poselib()
     releases = [
         make(each, fraction, queries.points)
         for fraction, each in hidden.items()
         for make in (Release.of_points, Release.of_lines)
     ]
+    for (_, fraction), each in (others or {}).items():
+        releases.append(Release.of_lines(each, fraction, queries.points))
     return _localization(queries, releases, config, metric, progress, name)
 
 
@@ -222,6 +240,17 @@ def _localization(
     trials = localized(queries, releases, config, progress)
     upright = config.gravity is not None
     return Localization(name, queries.points, queries.extent, metric, config.matching, upright, config.seed, trials)
+
+
+def localizes(hidden: Hiding) -> bool:
+    """Whether cameras can be localized in a hidden map: it has lines, which do not all meet in one point."""
+    if published_by(hidden.map.scheme) is not LineCloud:
+        return False
+    try:
+        LineLandmarks(hidden.map)
+    except InputError:
+        return False
+    return True
 
 
 def read_queries(
@@ -257,6 +286,12 @@ def queries_at(
         return queries_of(read, scene.ids)
     with opened_features(model, features) as found:
         return queries_of(read, scene.ids, found)
+
+
+def _no_lines(scheme: str) -> str:
+    return (
+        f"got scheme {scheme}; expected one that publishes points or lines, since cameras are localized in these only"
+    )
 
 
 def release_of(scene: Scene, scheme: str, fraction: float, seed: int) -> Release:

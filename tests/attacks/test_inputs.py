@@ -284,7 +284,7 @@ def test_order_of_lines_changes_indices_alone(scene: Scene) -> None:
         beta=scene.beta[order],
         confidence=scene.confidence[order],
         state=scene.state[order],
-        posterior=Posterior(*(part[order] for part in scene.posterior)),
+        posterior=Posterior(*(part[order] for part in scene.posterior[:3])),
         candidates=torch.where(scene.candidates < 0, -1, place[scene.candidates.clamp_min(0)])[order],
     )
     assert_close(scene.edges(), edges_of(shuffled.pairs(place[ROWS]), FAMILIES))

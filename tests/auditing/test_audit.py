@@ -11,7 +11,7 @@ import pytest
 
 import l2p
 from l2p.auditing import FRACTIONS, report
-from l2p.auditing.words import headline, sparser, typical
+from l2p.auditing.words import headline, sparser, typical, unexpected
 from l2p.judging.accuracy import spacing
 from l2p.judging.calibration import BINS
 from l2p.judging.curves import SHARES, THRESHOLDS
@@ -212,6 +212,32 @@ def test_a_headline_without_truth_is_a_prediction_or_none(blind, scene):
     assert "only ranks points" in page and "Neither measured nor predicted" in page
     for word in ("A prediction", "Predicted", "The prediction holds", "mean confidence"):
         assert word not in page, "there is none"
+
+
+@pytest.mark.parametrize("centers", [1, 2])
+def test_a_report_on_other_than_uniform_lines_states_no_probability(centers, scene, tiny_checkpoint):
+    center = np.array([[0.0, 0, 0], [1, 1, 0]])[np.arange(500) % centers]
+    rays = l2p.audit(l2p.LineCloud.through(scene.xyz, scene.xyz - center), checkpoint=tiny_checkpoint)
+    said = unexpected(rays)
+    assert said.startswith("All 500 lines pass through one") and "No probability is stated" in said
+    assert not rays.calibrated and not rays.recognised["expected"] and "not known" in headline(rays)
+    trial = rays.as_dict()["trials"][0]
+    assert trial["prediction"] is None and not trial["curves"]["risk"]
+    page = report.report_page(rays).decode()
+    assert said in page and "Neither measured nor predicted" in page and "may be wrong throughout" in page
+    for word in (
+        "A prediction",
+        "Predicted",
+        "The prediction holds",
+        "mean confidence",
+        "estimated)",
+        "gives a prediction",
+    ):
+        assert word not in page, "no share is stated"
+
+
+def test_uniform_lines_need_no_warning(found, blind):
+    assert unexpected(found) == unexpected(blind) == ""
 
 
 def test_the_report_is_a_page_and_its_figures(found, tmp_path):

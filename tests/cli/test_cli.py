@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 from l2p.cli.main import main
-from l2p.io.line_files import load_lines
+from l2p.io.line_files import load_lines, save_lines
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
 from l2p.judging.accuracy import spacing
+from l2p.maps.lines import LineCloud
 
 #: The cheapest attack, where any will do.
 TOMOGRAPHY = ("--method", "tomography", "--rounds", 0)
@@ -283,6 +284,32 @@ def test_info_names_the_descriptors_beside_a_model(model, capsys):
 
 def said_beside(table: str) -> str:
     return next(row for row in table.splitlines() if "descriptors beside it" in row)
+
+
+def test_lines_that_are_not_uniform_get_a_warning_and_no_probability(tmp_path, scene, lifted, tiny_checkpoint, capsys):
+    """In the terminal, in the figures, and in the file."""
+    points = load_scene(scene).xyz
+    save_lines(LineCloud.through(points, points - [1.0, 0, 0]), tmp_path / "rays.npz")
+    for lines, expected in ((lifted[0], True), (tmp_path / "rays.npz", False)):
+        words = (
+            "-o",
+            tmp_path / "out.npz",
+            "--checkpoint",
+            tiny_checkpoint,
+            "--json",
+            tmp_path / "out.json",
+            "--force",
+        )
+        assert run("recover", lines, *words) == 0
+        warned, stats = capsys.readouterr().err, json.loads((tmp_path / "out.json").read_text())
+        assert ("All 300 lines pass through one point. The confidence only ranks points" in warned) == (not expected)
+        assert (stats["median_confidence"] is None) == (not expected)
+        written = load_recovery(tmp_path / "out.npz")
+        assert written.calibrated == expected and written.info["recognised"] == stats["recognised"]
+        assert run("info", lines) == run("info", tmp_path / "out.npz") == 0
+        out = capsys.readouterr().out
+        assert out.count("uniform, and no lines meet" if expected else "All 300 lines pass through one point.") == 2
+        assert ("ranks only" in out) == (not expected)
 
 
 def test_demo_hands_its_flags_on(tmp_path, monkeypatch):

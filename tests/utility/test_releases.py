@@ -263,3 +263,28 @@ def test_real_maps_are_localized_in_as_closely_as_promised(shared, name):
     found = localized(shared / "maps" / "val" / name, most_queries=4)
     for trial in found.trials:
         assert trial.rotation < 0.1 and trial.position < 0.002 * found.extent
+
+
+@pytest.mark.parametrize("scheme", ["ppl", "ppl+", "rays", "rays-voxel"])
+def test_cameras_are_localized_in_the_lines_of_other_schemes(room, scheme):
+    found = localized(room, schemes=[scheme], wrong=[0.0])
+    assert found.of(scheme, 1.0).position < 0.05 * found.extent
+
+
+def test_both_points_of_a_pair_are_matched_with_their_line(room):
+    scene, _ = read_queries(room)
+    release = release_of(scene, "ppl", 1.0, 0)
+    matched = release.landmark_of[release.landmark_of >= 0]
+    assert (np.bincount(matched) == 2).all() and len(matched) > 0.98 * len(scene)
+
+
+@pytest.mark.parametrize("scheme", ["sphere", "sphere-33"])
+def test_lines_that_meet_in_one_point_are_refused(room, scheme):
+    with pytest.raises(InputError, match=r"lines that all meet in one point; expected others, since the distance"):
+        localized(room, schemes=[scheme])
+
+
+@pytest.mark.parametrize("scheme", ["planes", "planes-pooled", "planes-random", "permuted"])
+def test_what_is_no_line_cloud_is_refused(room, scheme):
+    with pytest.raises(InputError, match=f"got scheme {scheme}; expected one that publishes points or lines"):
+        localized(room, schemes=["points", scheme])

@@ -11,6 +11,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from functools import partial
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
@@ -28,10 +29,13 @@ from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.settings import LearnedSettings
 from l2p.checks import check_fraction
 from l2p.errors import InputError
+from l2p.schemes.scheme import DEFAULT_SCHEME
 
 #: Version of the file format; a reader refuses versions that it does not know.
 FORMAT = 5
 _FORMAT_KEY = "l2p_format"
+#: Files of the weights that are installed with the package, by the scheme of the lines.
+WEIGHTS = {DEFAULT_SCHEME: "learned.safetensors", "ppl": "ppl.safetensors", "rays": "rays.safetensors"}
 #: Hexadecimal digits of a digest: enough to distinguish checkpoints.
 _DIGITS = 12
 
@@ -62,20 +66,25 @@ class Checkpoint:
     facts: dict[str, Any] = field(default_factory=dict)
     inputs: Sequence[Inputs] = ()
 
+    @property
+    def scheme(self) -> str:
+        """Scheme of the lines that the network was trained on."""
+        return self.facts.get("config", {}).get("scheme", DEFAULT_SCHEME)
+
     def __post_init__(self) -> None:
         if not self.inputs:
             object.__setattr__(self, "inputs", inputs_of(self.network.config.inputs))
 
 
-def shipped() -> Path:
-    """Path of the checkpoint that is installed with the package.
+def shipped(scheme: str = DEFAULT_SCHEME) -> Path:
+    """Path of the checkpoint that is installed with the package for lines of a scheme.
 
     Raises
     ------
     FileNotFoundError
         If it is missing from the installation.
     """
-    path = Path(str(files("l2p") / "weights" / "learned.safetensors"))
+    path = Path(str(files("l2p") / "weights" / WEIGHTS[scheme]))
     if not path.is_file():
         raise FileNotFoundError(
             f"{path} is missing from this installation; install l2p again, give a checkpoint of your own "
@@ -146,13 +155,22 @@ def load(path: str | PathLike[str], *, rounds: int | None = None, fraction: floa
             raise InputError(f"got {rounds} rounds; expected 0 to {most}, those that {path} was trained for")
         config = replace(config, rounds=min(rounds, config.rounds), alike_rounds=min(rounds, config.alike_rounds))
     source = {"checkpoint": Path(path).name, "digest": digest(path)}
-    return Learned(checkpoint.network, config, checkpoint.calibration, fraction, checkpoint.inputs, source)
+    return Learned(
+        checkpoint.network, config, checkpoint.calibration, fraction, checkpoint.inputs, source, checkpoint.scheme
+    )
 
 
 def build(settings: LearnedSettings) -> Learned:
     """Build the attack with these settings."""
-    file = shipped() if settings.checkpoint is None else settings.checkpoint
-    return load(file, rounds=settings.rounds, fraction=settings.fraction)
+    if settings.checkpoint is not None:
+        return load(settings.checkpoint, rounds=settings.rounds, fraction=settings.fraction)
+    attack = _shipped_attack(settings, DEFAULT_SCHEME)
+    attack.siblings = partial(_shipped_attack, settings)
+    return attack
+
+
+def _shipped_attack(settings: LearnedSettings, scheme: str) -> Learned:
+    return load(shipped(scheme), rounds=settings.rounds, fraction=settings.fraction)
 
 
 def read(path: str | PathLike[str]) -> Checkpoint:

@@ -8,7 +8,7 @@ one network, which was trained on the estimates of all of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
@@ -36,16 +36,17 @@ from l2p.attacks.learned.knowledge import LINES_ALONE, Calibrations, between_rad
 from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import NOTHING, Judgement, LineTransformer
 from l2p.attacks.learned.nodes import Estimates, Nodes, described, neighborhood, nodes_of
+from l2p.attacks.learned.pairing import assigned, nearest_allowed
 from l2p.attacks.learned.teaching import taught
 from l2p.attacks.peak import find_peak, settled
-from l2p.attacks.tomography.posterior import Posterior, mass_within, modes
+from l2p.attacks.structured import STRUCTURED
+from l2p.attacks.tomography.posterior import Posterior, first_places, mass_within
 from l2p.attacks.tomography.reconstruct import LINE_BYTES as TOMOGRAPHY_BYTES
 from l2p.attacks.tomography.reconstruct import reconstruct
 from l2p.attacks.votes import equal_weights
 from l2p.errors import InputError
-from l2p.geometry.elements import Lines
-from l2p.geometry.nearest import nearest_points_to_lines
 from l2p.maps.appearance import ATTRIBUTES, Appearance
+from l2p.schemes.scheme import DEFAULT_SCHEME
 from l2p.work.shards import BLOCK
 from l2p.work.work import ALONE, Work
 
@@ -77,6 +78,8 @@ class State(NamedTuple):
 class Learned(Attack):
     """The learned attack; O(rounds x lines x k^2) besides tomography and the searches.
 
+    It knows what lines through pairs of points and lines through a few centres tell (:mod:`l2p.attacks.structure`).
+
     Parameters
     ----------
     network : LineTransformer
@@ -91,12 +94,18 @@ class Learned(Attack):
         Families of inputs with the constants of the training; default: the default constants.
     source : dict, optional
         Name and digest of the file of the weights, for the record.
+    scheme : str
+        Scheme of the lines that the weights were trained on.
+    siblings : callable, optional
+        Returns the attack with the weights for another scheme; default: these weights serve all schemes.
 
     Raises
     ------
     InputError
         If a knowledge is not calibrated, or has fewer calibrations than rounds.
     """
+
+    schemes = STRUCTURED
 
     def __init__(
         self,
@@ -106,6 +115,8 @@ class Learned(Attack):
         fraction: float = 1.0,
         inputs: Sequence[Inputs] | None = None,
         source: dict[str, str] | None = None,
+        scheme: str = DEFAULT_SCHEME,
+        siblings: Callable[[str], Learned] | None = None,
     ) -> None:
         self.network = network
         self.config = config or LearnedConfig()
@@ -118,11 +129,16 @@ class Learned(Attack):
             if count < wanted:
                 raise InputError(f"got {count} calibrations of {known} for {wanted} rounds; expected as many")
         self.fraction, self.source = fraction, source or {}
+        self.scheme, self.siblings = scheme, siblings
         # Without rounds, the confidence comes from the tomography and only ranks.
         self.calibrated = self.config.rounds > 0
         self.columns = {"beta": (), "confidence": (), "state": (network.config.state,)}
         # Measured by benchmarks/recover.py.
         self.line_bytes = max(TOMOGRAPHY_BYTES, 4000 + 40 * self.config.candidates)
+
+    def for_scheme(self, scheme: str) -> Learned:
+        """Return the attack with the weights for this scheme."""
+        return self if self.siblings is None or scheme == self.scheme else self.siblings(scheme)
 
     def rounds_of(self, elements: Elements) -> int:
         """Return the rounds but the last, which is in ``finish``: its estimates need no nodes."""
@@ -132,9 +148,9 @@ class Learned(Attack):
         """Reconstruct the posterior; the first estimates are its modes."""
         self.network.eval().to(elements.row.device)
         elements, embedding = self.seen(elements)
-        posterior = reconstruct(elements.lines, self.config.tomography, work)
+        posterior = reconstruct(elements.lines, self.config.tomography, work, elements.structure)
         if saved is None:
-            return State(elements, posterior, self.first_nodes(elements.lines, posterior, work), embedding)
+            return State(elements, posterior, self.first_nodes(elements, posterior, work), embedding)
         nodes = nodes_of(elements.lines, Estimates(**saved), self.config.nodes, work)
         return self.schooled(State(elements, posterior, nodes, embedding), work)
 
@@ -233,11 +249,14 @@ class Learned(Attack):
     def _knows(self, elements: Elements) -> bool:
         return elements.descriptor_kind == self.network.config.kind
 
-    def first_nodes(self, lines: Lines, posterior: Posterior, work: Work = ALONE) -> Nodes:
+    def first_nodes(self, elements: Elements, posterior: Posterior, work: Work = ALONE) -> Nodes:
         """Build the nodes of the first round from the modes of the posterior."""
-        count = len(lines.direction)
-        mode, _ = modes(posterior)
+        lines, count = elements.lines, len(elements)
+        mode = first_places(posterior, elements.structure.twin, work.own(count))
         beta = work.gather(mode, count)
+        if elements.structure.twin is not None:
+            beta = self._assigned(elements, Estimates(beta, beta, beta[:, None])).beta
+            mode = beta[work.own(count)]
         around = neighborhood(lines, beta, self.config.nodes, work)
         confidence = work.gather(mass_within(posterior, mode, around.scale[work.own(count)]), count)
         state = beta.new_zeros(count, self.network.config.state)
@@ -248,7 +267,7 @@ class Learned(Attack):
         lines, nodes, count = state.elements.lines, state.nodes, self.config.candidates
         appearance = state.elements.attributes.get("appearance")
         k = count if appearance is None else max(count, self.config.alike)
-        near = nearest_points_to_lines(lines, nodes.point, k, scale=nodes.scale.sqrt(), work=work)
+        near = nearest_allowed(lines, nodes, k, state.elements.structure, work)
         if appearance is None or near.index.shape[1] <= count:
             return near.index
         first = work.own(len(nodes.beta)).start
@@ -294,9 +313,16 @@ class Learned(Attack):
 
     def moved(self, state: State, estimates: Estimates, work: Work = ALONE) -> State:
         """Build the nodes of the over-relaxed estimates, and let them teach."""
-        estimates = relaxed(state.nodes, estimates, self.config)
+        estimates = self._assigned(state.elements, relaxed(state.nodes, estimates, self.config))
         nodes = nodes_of(state.elements.lines, estimates, self.config.nodes, work)
         return self.schooled(state._replace(nodes=nodes), work)
+
+    def _assigned(self, elements: Elements, estimates: Estimates) -> Estimates:
+        """Decide which of the two points of a line is where, if their appearances tell."""
+        twin, appearance = elements.structure.twin, elements.attributes.get("appearance")
+        if twin is None or appearance is None:
+            return estimates
+        return assigned(elements.lines, estimates, twin, appearance)
 
     def passed_confidence(self, found: Float[Tensor, "lines radii"]) -> Float[Tensor, " lines"]:
         """Uncalibrated confidence within 1 spacing, passed to the next round."""
