@@ -6,6 +6,7 @@ Lines of one family meet in their centre and nowhere else, so that they tell not
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -44,7 +45,8 @@ def other_points_near_points(
 
     def searched(rows: Int[Tensor, " rows"], others: Int[Tensor, " others"]) -> Nearest:
         tree, queries = KDTree(place[others.cpu().numpy()]), place[own][rows.cpu().numpy()]
-        distance, index = tree.query(queries, range(1, min(k, len(others)) + 1), workers=torch.get_num_threads())
+        ranks: Any = range(1, min(k, len(others)) + 1)  # also one neighbour has a column
+        distance, index = tree.query(queries, ranks, workers=torch.get_num_threads())
         return Nearest(
             torch.as_tensor(index, device=points.device).int(),
             torch.as_tensor(distance, device=points.device, dtype=points.dtype),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from l2p.auditing.attackers import named
 from l2p.auditing.audit import Audit
@@ -77,8 +77,8 @@ def comparison_chart(audit: Audit, others: OtherSchemes) -> Chart:
     def draw(axes: Axes) -> None:
         for attacker, label, style in zip(dict.fromkeys((used, ())), labels, styles(labels), strict=True):
             own = {trial.scheme: trial.within for trial in trials if trial.used == attacker}
-            look = {"color": style["color"], "linestyle": "none", "clip_on": False, "markersize": 6}
-            face = {} if attacker == used else {"markerfacecolor": "none"}
+            look: dict[str, Any] = {"color": style["color"], "linestyle": "none", "clip_on": False, "markersize": 6}
+            face: dict[str, Any] = {} if attacker == used else {"markerfacecolor": "none"}
             axes.plot([own[scheme] for scheme in schemes], range(len(schemes)), marker="o", label=label, **look, **face)
         axes.set(xlim=(0, 1), ylim=(len(schemes) - 0.5, -0.5), xlabel="of the published points, within 1 spacing")
         axes.set_yticks(range(len(schemes)), schemes)

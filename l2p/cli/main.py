@@ -148,6 +148,12 @@ def _add_recover(commands: Any) -> None:
         help="OUT.npz (every line, in order), OUT.ply (with confidence), or a folder for a COLMAP model",
     )
     add_method(recover)
+    recover.add_argument(
+        "--scheme",
+        choices=tuple(SCHEMES),
+        metavar="NAME",
+        help="scheme of lines whose file does not say it, as of lines through pairs: a name of l2p lift --scheme",
+    )
     _add_ignore(recover, "of the file")
     _add_filters(recover)
     recover.add_argument("--model", metavar="MODEL", help="for a COLMAP model: the model that was lifted")

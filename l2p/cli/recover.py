@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Int
@@ -29,6 +29,7 @@ from l2p.maps.permuted import PermutedCloud
 from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
 from l2p.schemes.recognition import NOT_STATED
+from l2p.schemes.scheme import published_by
 from l2p.work.progress import terminal_progress
 
 if TYPE_CHECKING:
@@ -203,12 +204,21 @@ def _attack(arguments: Namespace) -> Attack:
     return named_attack(arguments.method, **settings_of(arguments))
 
 
+def _named(hidden: LineCloud | PlaneCloud | PermutedCloud, scheme: str | None) -> Any:
+    """Name the scheme of lines whose file does not say it."""
+    if scheme is None:
+        return hidden
+    if not isinstance(hidden, LineCloud) or published_by(scheme) is not LineCloud:
+        raise InputError(f"got --scheme {scheme} for a map of scheme {hidden.scheme}; expected it for lines only")
+    return replace(hidden, scheme=scheme)
+
+
 def _recover_inputs(
     arguments: Namespace,
 ) -> tuple[list[LineCloud | PlaneCloud | PermutedCloud], Int[np.ndarray, " lines"] | None]:
     """Read the releases, without ignored attributes, and, for a COLMAP model, the point id behind each line of the
     first."""
-    releases = [load_hidden(path).without(arguments.ignore) for path in arguments.lines]
+    releases = [_named(load_hidden(path), arguments.scheme).without(arguments.ignore) for path in arguments.lines]
     if arguments.model is None:
         return releases, None
     lines = releases[0]

@@ -145,7 +145,8 @@ def test_the_truth_of_a_cloud_is_that_of_its_scene(attack: Learned) -> None:
     lines, index = hidden.map, hidden.truth.index
     frame = Frame.of(lines)
     truth = points[index]
-    np.testing.assert_allclose(cloud.true_point.numpy(), frame.enter_points(truth).numpy(), atol=1e-5)
+    true_point = cloud.elements.lines.at(cloud.true_beta)
+    np.testing.assert_allclose(true_point.numpy(), frame.enter_points(truth).numpy(), atol=1e-5)
     assert cloud.spacing * frame.unit == pytest.approx(spacing(truth))
     nearest = np.sort(np.linalg.norm(truth[:, None] - truth, axis=2), axis=1)
     np.testing.assert_allclose(cloud.radius.numpy() * frame.unit, nearest[:, 25], rtol=1e-5)
@@ -157,10 +158,11 @@ def test_samples_count_from_the_estimates_and_label_true_neighbours(attack: Lear
     candidates = attack.candidates(cloud.state())
     sample = cloud.sample(attack, cloud.state(), candidates, rows)
     torch.testing.assert_close(sample.true_beta + nodes.beta[rows], cloud.true_beta[rows])
+    truth = cloud.elements.lines.at(cloud.true_beta)
     assert (sample.spacing == torch.tensor(cloud.spacing)).all()
     for row, i in enumerate(rows.tolist()):
         for column, j in enumerate(candidates[i].tolist()):
-            apart = float((cloud.true_point[i] - cloud.true_point[j]).norm() / cloud.radius[i])
+            apart = float((truth[i] - truth[j]).norm() / cloud.radius[i])
             assert float(sample.label[row, column]) == pytest.approx(1 / (1 + np.exp((apart - 1.25) / 0.25)), abs=1e-5)
 
 
