@@ -32,6 +32,9 @@ _VARIABLES = {
     **{f"#04040{number}": f"var(--series-{number})" for number in range(SERIES)},
 }
 _WIDTH, _HEIGHT = 4.1, 3.5
+#: Letters of a label of which two stand beside each other in a legend; rows that a legend has room for, and
+#: the height of a further one.
+_NARROW, _MOST_ROWS, _ROW = 22, 4, 0.19
 #: Least ratio of two fractions that are both labelled.
 _TICKS_APART = 1.6
 
@@ -231,7 +234,11 @@ def svg(name: str, draw: Callable[[Axes], None]) -> str:
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
         handles, labels = axes.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9, handlelength=2.6, frameon=False)
+        columns = 2 if max(map(len, labels), default=0) <= _NARROW else 1
+        rows = -(-len(labels) // columns)
+        figure.set_figheight(_HEIGHT + _ROW * max(0, rows - _MOST_ROWS))
+        look = {"fontsize": 9, "handlelength": 2.6, "frameon": False}
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, **look)
         file = io.StringIO()
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     return _themed(file.getvalue())
