@@ -135,19 +135,19 @@ def run(
     """
     if len(lines) == 0:
         raise InputError("got a line cloud without lines; expected at least one line")
-    where = usable_device(device)
-    work = replace(work, room=_room(attack, where, memory, len(lines), work))
-    began = time.perf_counter()
-    work.shards.check(len(lines))
-    work.journal.begin(_about(lines, attack, name))
+    where, began = usable_device(device), time.perf_counter()
     recognised = recognise(lines)
     known = recognised.scheme if recognised.scheme in attack.schemes else DEFAULT_SCHEME
     single, line = expanded(lines, known)
-    attack, frame = attack.for_scheme(known), frame_of(lines, known, recognised)
+    work = replace(work, room=_room(attack, where, memory, len(single), work))
+    work.shards.check(len(single))
+    work.journal.begin(_about(single, attack, name))
+    frame = frame_of(lines, known, recognised)
     with torch.inference_mode():
         structure = structure_of(single, known, recognised, frame, where)
         elements = Elements.sorted(frame.enter(single, where), frame, single.appearance, structure)
         _check_same(work.shards, attack, where)
+        attack = attack.for_scheme(known)
         _send(elements, known, work.shards)
         estimate = _in_map_order(_collected(locate(attack, elements, work), len(elements), work), elements.row)
     own = np.arange(len(single)) if estimate.element is None else estimate.element.cpu().numpy()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -243,3 +245,17 @@ def test_the_published_attacks_are_for_pairs_and_rays():
     lines = l2p.lift(l2p.simulate("room", 100, seed=0).xyz, seed=0)
     with pytest.raises(InputError, match="neither rays of a few centres nor pairs for the method published"):
         l2p.recover(lines, "published")
+
+
+@pytest.mark.parametrize("scheme", ["ppl", "rays"])
+def test_two_processes_give_the_same_points(scheme, pairs, rays, tmp_path):
+    lines = (pairs if scheme == "ppl" else rays).map
+    l2p.save(lines, tmp_path / "lines.npz")
+    for name, processes in (("one", "1"), ("two", "2")):
+        words = ["recover", str(tmp_path / "lines.npz"), "-o", str(tmp_path / f"{name}.npz"), "--rounds", "1"]
+        subprocess.run(
+            [sys.executable, "-m", "l2p", *words, "--processes", processes, "--threads", "1"], check=True, timeout=300
+        )
+    one, two = (l2p.load(tmp_path / f"{name}.npz", l2p.Recovery) for name in ("one", "two"))
+    np.testing.assert_array_equal(one.element, two.element)
+    assert np.quantile(np.abs(one.xyz - two.xyz).max(axis=1), 0.99) < 1e-3
