@@ -211,7 +211,7 @@ HEURISTIC = ("--method", "heuristic")
         (
             "out.npz",
             ["--method", "magic"],
-            "got method 'magic'; expected one of learned, tomography, heuristic, or",
+            "got method 'magic'; expected one of learned, tomography, heuristic, published, or",
         ),
         ("out.npz", ["--device", "cuda:77"], "got device 'cuda:77'; expected one of cpu"),
         ("out.npz", ["--device", "quantum"], "got device 'quantum'; expected one of cpu"),
