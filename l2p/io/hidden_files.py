@@ -41,7 +41,8 @@ def load_hidden(path: str | PathLike[str]) -> LineCloud | PlaneCloud | PermutedC
     if kind is Kind.PERMUTED:
         return load_permuted(path)
     if kind not in LINE_CLOUDS:
-        raise InputError(f"{path} is {kind.value}; expected a line cloud or another hidden map (make one with l2p lift)")
+        wanted = "a line cloud or another hidden map (make one with l2p lift)"
+        raise InputError(f"{path} is {kind.value}; expected {wanted}")
     return load_lines(path)
 
 

@@ -64,7 +64,7 @@ def test_kinds_are_not_mixed_up(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"is a .*; expected a recovery|is a .*; expected"):
             l2p.load(path, l2p.Recovery)
     np.savez(tmp_path / "scene.npz", xyz=np.zeros((3, 3)))
-    with pytest.raises(InputError, match=r"scene.npz is a scene \(npz\); expected a hidden map"):
+    with pytest.raises(InputError, match=r"scene.npz is a scene \(npz\); expected a line cloud or another hidden map"):
         load_hidden(tmp_path / "scene.npz")
 
 
