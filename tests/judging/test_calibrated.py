@@ -79,7 +79,7 @@ def test_references_claim_nothing(scene: l2p.Scene) -> None:
         assert run(lines, reference, name="learned").calibrated is False
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "published"])  # not for uniform lines
 def test_an_audit_claims_what_the_other_commands_claim(
     method: str, scene: l2p.Scene, tmp_path: Path, tiny_checkpoint: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

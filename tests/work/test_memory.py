@@ -112,7 +112,7 @@ def threads(request: pytest.FixtureRequest) -> Iterator[int]:
     torch.set_num_threads(before)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "published"])  # not for uniform lines
 def test_the_answer_does_not_depend_on_the_memory(
     method: str, on_walls, tiny_checkpoint: Path, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
