@@ -363,12 +363,17 @@ def test_the_overview_says_where_scenes_are_missing() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", sorted(path.stem for path in (CONFIGS / "experiment").glob("*.yaml") if "sees:" in path.read_text())
+    "name",
+    sorted(
+        path.stem
+        for path in (CONFIGS / "experiment").glob("*.yaml")
+        if "sees:" in path.read_text() and path.stem != "schemes"
+    ),
 )
 def test_experiments_that_see_run_on_a_tiny_scene(
     tmp_path: Path, scenes: Path, sighted: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    monkeypatch.setattr("l2p.attacks.learned.checkpoint.shipped", lambda: sighted)
+    monkeypatch.setattr("l2p.attacks.learned.checkpoint.shipped", lambda scheme="uniform": sighted)
     readme = tmp_path / "README.md"
     readme.write_text(f"<!-- eval:{name}:appearance -->\n<!-- /eval -->\n")
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
@@ -379,3 +384,31 @@ def test_experiments_that_see_run_on_a_tiny_scene(
     assert [row["method"] for row in rows_of(tmp_path / "run")] == [method.label for method in settings.methods]
     seeing = next(method.label for method in settings.methods if method.sees)
     assert f"| {seeing} | 50 % | 1 |" in readme.read_text()
+
+
+def test_schemes_are_compared_on_a_tiny_scene(
+    tmp_path: Path, scenes: Path, sighted: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("l2p.attacks.learned.checkpoint.shipped", lambda scheme="uniform": sighted)
+    readme, page, rng = tmp_path / "README.md", tmp_path / "schemes.md", np.random.default_rng(0)
+    known = dict(
+        np.load(scenes / "all.npz")
+    )  # the attacks on spheres, planes and permuted points see by the shipped one
+    known["descriptor"] = rng.integers(0, 256, (len(known["xyz"]), 128)).astype(np.uint8)
+    np.savez(tmp_path / "long.npz", **known)
+    monkeypatch.setattr("eval.evaluation.without_unseen", lambda cells: list(cells))
+    readme.write_text("<!-- eval:schemes:schemes -->\n<!-- /eval -->\n")
+    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
+        tiny = [f"scenes=[{tmp_path / 'long.npz'}]", "fractions=[1.0,0.5]", f"docs={page}", f"update=[{readme}]"]
+        config = compose("eval", ["experiment=schemes", *tiny])
+    settings = settings_of(config)
+    assert evaluate_all(settings, tmp_path / "run", "python -m eval") == 0
+    rows = rows_of(tmp_path / "run")
+    assert {row["scheme"] for row in rows} == set(settings.schemes)
+    own = [row for row in rows if row["method"].endswith(": published")]
+    assert {row["scheme"] for row in own} == {"ppl", "rays", "half-space"}, "attacks run on what they are made for"
+    pairs, spheres = (next(row for row in rows if row["scheme"] == name) for name in ("ppl", "sphere-50"))
+    assert pairs["both_within_1"] and not pairs["fakes_auc"]
+    assert spheres["fakes_auc"] and not spheres["both_within_1"]
+    assert "| rays | published |" in readme.read_text() and "schemes.svg" in page.read_text()
+    assert (tmp_path / "images" / "schemes-schemes.svg").is_file()

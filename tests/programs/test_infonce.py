@@ -68,6 +68,7 @@ def data_of(folder: Path, **changes: object) -> DataSettings:
     return replace(
         DataSettings(
             seed=0,
+            scheme="uniform",
             scenes=[],
             maps=[str(folder)],
             map_turns=2,

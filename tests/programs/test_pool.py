@@ -31,6 +31,7 @@ from train.train_config import DataSettings
 
 DATA = DataSettings(
     seed=0,
+    scheme="uniform",
     scenes=[],
     maps=[],
     map_turns=1,

@@ -203,10 +203,13 @@ def test_the_command_takes_every_scheme(name: str, scene: l2p.Scene, tmp_path: P
     told = capsys.readouterr().out
     assert name in told and what in told and ("two, each with its own" in told) == name.startswith("ppl")
     if what != "lines":
-        for command in (["recover", "map.npz", "-o", "out.npz"], ["view", "map.npz", "-o", "page.html"]):
-            assert main([str(tmp_path / word) if "." in word else word for word in command]) == 2
-            told = capsys.readouterr().err
-            assert "map.npz is a p" in told and "; expected " in told and told.count("\n") == 1
+        assert main(["view", str(tmp_path / "map.npz"), "-o", str(tmp_path / "page.html")]) == 2
+        told = capsys.readouterr().err
+        assert "map.npz is a p" in told and "; expected " in told and told.count("\n") == 1
+        ignored = ["recover", str(tmp_path / "map.npz"), "-o", str(tmp_path / "out.npz"), "--ignore", "rgb,descriptor"]
+        assert main(ignored) == 0 and len(l2p.load(tmp_path / "out.npz", l2p.Recovery)) == len(cloud)
+        assert main([*ignored, "--method", "tomography", "--force"]) == 2
+        assert "expected" in capsys.readouterr().err
         assert main([*words, "-o", str(tmp_path / "map.ply")]) == 2
         assert "expected" in capsys.readouterr().err and not (tmp_path / "map.ply").exists()
 
