@@ -390,16 +390,11 @@ def test_schemes_are_compared_on_a_tiny_scene(
     tmp_path: Path, scenes: Path, sighted: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("l2p.attacks.learned.checkpoint.shipped", lambda scheme="uniform": sighted)
-    readme, page, rng = tmp_path / "README.md", tmp_path / "schemes.md", np.random.default_rng(0)
-    known = dict(
-        np.load(scenes / "all.npz")
-    )  # the attacks on spheres, planes and permuted points see by the shipped one
-    known["descriptor"] = rng.integers(0, 256, (len(known["xyz"]), 128)).astype(np.uint8)
-    np.savez(tmp_path / "long.npz", **known)
-    monkeypatch.setattr("eval.evaluation.without_unseen", lambda cells: list(cells))
+    readme, page = tmp_path / "README.md", tmp_path / "schemes.md"
     readme.write_text("<!-- eval:schemes:schemes -->\n<!-- /eval -->\n")
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        tiny = [f"scenes=[{tmp_path / 'long.npz'}]", "fractions=[1.0,0.5]", f"docs={page}", f"update=[{readme}]"]
+        tiny = [f"scenes=[{scenes / 'all.npz'}]", "fractions=[1.0,0.5]", f"docs={page}", f"update=[{readme}]"]
+        tiny.append("methods=[{name: learned},{name: learned,sees: [rgb]},{name: published}]")
         config = compose("eval", ["experiment=schemes", *tiny])
     settings = settings_of(config)
     assert evaluate_all(settings, tmp_path / "run", "python -m eval") == 0
