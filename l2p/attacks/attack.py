@@ -25,7 +25,7 @@ from l2p.attacks.structure import NO_STRUCTURE, Structure
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.maps.appearance import NO_APPEARANCE, Appearance
-from l2p.schemes.scheme import DEFAULT_SCHEME
+from l2p.schemes.recognition import UNIFORM
 from l2p.work.work import Work
 
 
@@ -128,8 +128,8 @@ class Attack:
     calibrated: bool = False
     line_bytes: float | None = None
     columns: Mapping[str, tuple[int, ...]] = {}
-    schemes: tuple[str, ...] = (DEFAULT_SCHEME,)
-    scheme: str = DEFAULT_SCHEME
+    schemes: tuple[str, ...] = (UNIFORM,)
+    scheme: str = UNIFORM
 
     def for_scheme(self, scheme: str) -> Attack:
         """Return the attack on lines of one of ``schemes``; the same one by default."""

@@ -27,8 +27,7 @@ from l2p.maps.lines import LineCloud
 from l2p.maps.permuted import PermutedCloud
 from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
-from l2p.schemes.recognition import recognise
-from l2p.schemes.scheme import DEFAULT_SCHEME
+from l2p.schemes.recognition import UNIFORM, recognise
 from l2p.version import __version__
 from l2p.work.memory import allotted
 from l2p.work.progress import NO_PROGRESS, Progress
@@ -136,10 +135,13 @@ def run(
     if len(lines) == 0:
         raise InputError("got a line cloud without lines; expected at least one line")
     where, began = usable_device(device), time.perf_counter()
+    room = _room(attack, where, memory, len(lines), work)
     recognised = recognise(lines)
-    known = recognised.scheme if recognised.scheme in attack.schemes else DEFAULT_SCHEME
+    known = recognised.scheme if recognised.scheme in attack.schemes else UNIFORM
     single, line = expanded(lines, known)
-    work = replace(work, room=_room(attack, where, memory, len(single), work))
+    if len(single) > len(lines):
+        room = _room(attack, where, memory, len(single), work)
+    work = replace(work, room=room)
     work.shards.check(len(single))
     work.journal.begin(_about(single, attack, name))
     frame = frame_of(lines, known, recognised)
@@ -171,7 +173,7 @@ def run(
         info=info,
         # The calibration on uniform lines says nothing about others; those on pairs and rays are off by more than 0.05
         # on some maps (docs/results-schemes.md), so that their confidence only ranks.
-        calibrated=attack.calibrated and recognised.expected and attack.scheme == DEFAULT_SCHEME,
+        calibrated=attack.calibrated and recognised.expected and attack.scheme == UNIFORM,
         element=line[own],
     )
 

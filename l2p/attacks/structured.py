@@ -12,11 +12,10 @@ from l2p.attacks.structure import NO_STRUCTURE, Structure
 from l2p.geometry.frame import Frame
 from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
-from l2p.schemes.recognition import Recognition
-from l2p.schemes.scheme import DEFAULT_SCHEME
+from l2p.schemes.recognition import UNIFORM, Recognition
 
 #: Schemes that attacks with a structure know, besides independent lines.
-STRUCTURED = (DEFAULT_SCHEME, "ppl", "rays")
+STRUCTURED = (UNIFORM, "ppl", "rays")
 
 
 def expanded(lines: LineCloud, scheme: str) -> tuple[LineCloud, Int[np.ndarray, " elements"]]:

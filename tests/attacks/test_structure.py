@@ -69,6 +69,7 @@ def test_sorted_elements_keep_their_twins_and_families():
 def test_lines_of_pairs_come_twice_with_one_appearance_each(pairs):
     single, row = expanded(pairs.map, "ppl")
     assert row.tolist() == np.repeat(np.arange(len(pairs.map)), 2).tolist()
+    assert single.rgb is not None
     assert (single.rgb[0::2] == pairs.map.rgb).all() and (single.rgb[1::2] == pairs.map.second.rgb).all()
     assert (single.direction[0::2] == single.direction[1::2]).all()
     # Truth and appearances are in the same order.

@@ -29,13 +29,13 @@ from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.settings import LearnedSettings
 from l2p.checks import check_fraction
 from l2p.errors import InputError
-from l2p.schemes.scheme import DEFAULT_SCHEME
+from l2p.schemes.recognition import UNIFORM
 
 #: Version of the file format; a reader refuses versions that it does not know.
 FORMAT = 5
 _FORMAT_KEY = "l2p_format"
 #: Files of the weights that are installed with the package, by the scheme of the lines.
-WEIGHTS = {DEFAULT_SCHEME: "learned.safetensors", "ppl": "ppl.safetensors", "rays": "rays.safetensors"}
+WEIGHTS = {UNIFORM: "learned.safetensors", "ppl": "ppl.safetensors", "rays": "rays.safetensors"}
 #: Hexadecimal digits of a digest: enough to distinguish checkpoints.
 _DIGITS = 12
 
@@ -69,14 +69,14 @@ class Checkpoint:
     @property
     def scheme(self) -> str:
         """Scheme of the lines that the network was trained on."""
-        return self.facts.get("config", {}).get("scheme", DEFAULT_SCHEME)
+        return self.facts.get("config", {}).get("scheme", UNIFORM)
 
     def __post_init__(self) -> None:
         if not self.inputs:
             object.__setattr__(self, "inputs", inputs_of(self.network.config.inputs))
 
 
-def shipped(scheme: str = DEFAULT_SCHEME) -> Path:
+def shipped(scheme: str = UNIFORM) -> Path:
     """Path of the checkpoint that is installed with the package for lines of a scheme.
 
     Raises
@@ -164,7 +164,7 @@ def build(settings: LearnedSettings) -> Learned:
     """Build the attack with these settings."""
     if settings.checkpoint is not None:
         return load(settings.checkpoint, rounds=settings.rounds, fraction=settings.fraction)
-    attack = _shipped_attack(settings, DEFAULT_SCHEME)
+    attack = _shipped_attack(settings, UNIFORM)
     attack.siblings = partial(_shipped_attack, settings)
     return attack
 

@@ -46,7 +46,7 @@ from l2p.attacks.tomography.reconstruct import reconstruct
 from l2p.attacks.votes import equal_weights
 from l2p.errors import InputError
 from l2p.maps.appearance import ATTRIBUTES, Appearance
-from l2p.schemes.scheme import DEFAULT_SCHEME
+from l2p.schemes.recognition import UNIFORM
 from l2p.work.shards import BLOCK
 from l2p.work.work import ALONE, Work
 
@@ -115,7 +115,7 @@ class Learned(Attack):
         fraction: float = 1.0,
         inputs: Sequence[Inputs] | None = None,
         source: dict[str, str] | None = None,
-        scheme: str = DEFAULT_SCHEME,
+        scheme: str = UNIFORM,
         siblings: Callable[[str], Learned] | None = None,
     ) -> None:
         self.network = network
