@@ -248,10 +248,8 @@ def test_the_published_attacks_are_for_pairs_and_rays():
         l2p.recover(lines, "published")
 
 
-@pytest.mark.parametrize("scheme", ["ppl", "rays"])
-def test_two_processes_give_the_same_points(scheme, pairs, rays, tmp_path):
-    lines = (pairs if scheme == "ppl" else rays).map
-    l2p.save(lines, tmp_path / "lines.npz")
+def test_two_processes_give_the_same_points(pairs, tmp_path):
+    l2p.save(pairs.map, tmp_path / "lines.npz")
     for name, processes in (("one", "1"), ("two", "2")):
         words = ["recover", str(tmp_path / "lines.npz"), "-o", str(tmp_path / f"{name}.npz"), "--rounds", "1"]
         subprocess.run(
