@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 from l2p.attacks.from_permuted import recover_permuted
 from l2p.attacks.from_planes import recover_planes
@@ -32,4 +33,5 @@ def recover_own(hidden: LineCloud | PlaneCloud | PermutedCloud, progress: Progre
         return recover_planes(hidden, progress=progress)
     if isinstance(hidden, PermutedCloud):
         return recover_permuted(hidden, progress=progress)
-    return recover_spheres(hidden, progress=progress)
+    found = recover_spheres(hidden, progress=progress)
+    return replace(found, info={**found.info, "recognised": recognise(hidden).as_dict()})

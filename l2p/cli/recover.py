@@ -126,6 +126,7 @@ def _warn_of_lines(recovery: Recovery) -> None:
     """Say on stderr what the scheme forbids, or what the lines were recognised as, unless they are uniform."""
     if "sentence" in recovery.info:
         print(f"l2p: {recovery.info['sentence']}", file=sys.stderr)
+        return
     found = recovery.info.get("recognised")
     if found is not None and not found["expected"]:
         print(" ".join(["l2p:", found["sentence"], *([] if recovery.calibrated else [NOT_STATED])]), file=sys.stderr)

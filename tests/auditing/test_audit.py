@@ -291,3 +291,10 @@ def test_large_clouds_are_thinned_and_the_page_says_so(found):
     assert "The picture shows" not in whole.split("<script")[0]
     assert "The picture shows at most 50 points of each cloud" in thinned
     assert len(thinned) < len(whole)
+
+
+def test_an_audit_of_a_sphere_cloud_says_that_nothing_tells_the_depth(scene, tmp_path):
+    found = l2p.audit(l2p.lift(scene, seed=0, scheme="sphere-50"))
+    assert found.recognised["kind"] == "one centre" and not found.calibrated
+    l2p.save_report(found, tmp_path / "report")
+    assert "lines pass through one point. No probability is stated" in (tmp_path / "report/index.html").read_text()
