@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -86,6 +87,10 @@ class Recognition:
         return {"kind": self.kind, "sentence": self.sentence, "scheme": self.scheme, "expected": self.expected}
 
 
+#: What was found of the clouds in memory, which do not change: the choice of an attack asks, and the attack again.
+_RECOGNISED: WeakKeyDictionary[LineCloud, Recognition] = WeakKeyDictionary()
+
+
 def recognise(lines: LineCloud) -> Recognition:
     """Recognise how the lines of a cloud were drawn.
 
@@ -126,6 +131,12 @@ def recognise(lines: LineCloud) -> Recognition:
     >>> recognise(l2p.LineCloud.through(points, points - [1.0, 2, 3])).sentence
     'All 500 lines pass through one point.'
     """
+    if lines not in _RECOGNISED:
+        _RECOGNISED[lines] = _recognised(lines)
+    return _RECOGNISED[lines]
+
+
+def _recognised(lines: LineCloud) -> Recognition:
     if len(lines) == 0:
         raise InputError("got a line cloud without lines; expected at least one line")
     rng = np.random.default_rng(0x5EE)
