@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from eval.figures import RC, Drawing
 from eval.result_tables import distinct, fractions_of, pool_seed
-from eval.scheme_table import SHARE
+from eval.scheme_table import SHARE, attacker_of
 from eval.scoring import Row
 
 #: Name of the figure.
@@ -57,8 +57,3 @@ def draw_schemes(rows: Sequence[Row]) -> list[Drawing]:
         "Share of the published points that come back within 1 spacing, for each way to hide the map and each attacker"
     )
     return [Drawing(f"{FIGURE}.svg", caption, file.getvalue())]
-
-
-def attacker_of(row: Row) -> str:
-    """Name of the method without the scheme."""
-    return row["method"].removeprefix(f"{row['scheme']}: ")

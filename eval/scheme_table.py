@@ -30,16 +30,10 @@ def scheme_tables(rows: Sequence[Row]) -> list[Table]:
     further = [column for column in _FURTHER if any(row.get(column.name) is not None for row in rows)]
     largest = fractions[0]
     body = []
-    for scheme in distinct(rows, "scheme"):
-        for method in distinct([row for row in rows if row["scheme"] == scheme], "method"):
-            own = [row for row in rows if row["method"] == method]
-            cells = []
-            for fraction in fractions:
-                here = [row for row in own if row["fraction"] == fraction]
-                cells.append(f"{pooled(here, SHARE)} / {pooled(here, MEDIAN)}" if here else "-")
-            full = [row for row in own if row["fraction"] == largest]
-            cells += [_known(full, column) for column in further]
-            body.append([scheme, method.removeprefix(f"{scheme}: "), *cells])
+    for scheme, attacker, own in _by_attacker(rows):
+        full = [row for row in own if row["fraction"] == largest]
+        cells = [_errors([row for row in own if row["fraction"] == fraction]) for fraction in fractions]
+        body.append([scheme, attacker, *cells, *(_known(full, column) for column in further)])
     shares = [f"{100 * fraction:g} % of the points" for fraction in fractions]
     title = "within 1 spacing / median error in spacings, by scheme and attacker"
     if further:
@@ -51,15 +45,29 @@ def scheme_tables(rows: Sequence[Row]) -> list[Table]:
 def _scene_table(rows: Sequence[Row]) -> Table:
     """The same at one fraction, scene by scene."""
     scenes, body = distinct(rows, "scene"), []
-    for scheme in distinct(rows, "scheme"):
-        for method in distinct([row for row in rows if row["scheme"] == scheme], "method"):
-            cells = []
-            for scene in scenes:
-                own = [row for row in rows if (row["method"], row["scene"]) == (method, scene)]
-                cells.append(f"{pooled(own, SHARE)} / {pooled(own, MEDIAN)}" if own else "-")
-            body.append([scheme, method.removeprefix(f"{scheme}: "), *cells])
+    for scheme, attacker, own in _by_attacker(rows):
+        cells = [_errors([row for row in own if row["scene"] == scene]) for scene in scenes]
+        body.append([scheme, attacker, *cells])
     title = f"scene by scene at {100 * rows[0]['fraction']:g} %: within 1 spacing / median error in spacings"
     return Table(BY_SCENE, title, ["scheme", "attacker", *scenes], body)
+
+
+def attacker_of(row: Row) -> str:
+    """Name of the method without the scheme."""
+    return row["method"].removeprefix(f"{row['scheme']}: ")
+
+
+def _by_attacker(rows: Sequence[Row]) -> list[tuple[str, str, list[Row]]]:
+    """Rows of each scheme and attacker."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        found.setdefault((row["scheme"], attacker_of(row)), []).append(row)
+    order = distinct(rows, "scheme")
+    return sorted(((*key, own) for key, own in found.items()), key=lambda entry: order.index(entry[0]))
+
+
+def _errors(rows: Sequence[Row]) -> str:
+    return f"{pooled(rows, SHARE)} / {pooled(rows, MEDIAN)}" if rows else "-"
 
 
 def _known(rows: Sequence[Row], column: Column) -> str:

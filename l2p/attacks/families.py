@@ -9,9 +9,10 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from l2p.geometry.closest_lines import nearest_lines
 from l2p.geometry.elements import Lines
 from l2p.geometry.nearest import Nearest, nearest_points_to_other_lines
 from l2p.work.work import Work
@@ -53,6 +54,19 @@ def other_points_near_points(
         )
 
     return _by_family(searched, family, own, k, points)
+
+
+def other_lines_near_lines(
+    lines: Lines, k: int, family: Int[Tensor, " lines"], voting: Bool[Tensor, " lines"]
+) -> Int[Tensor, "lines k"]:
+    """Find the k voting lines of other families nearest to each line; -1 for none."""
+
+    def searched(rows: Int[Tensor, " rows"], others: Int[Tensor, " others"]) -> Nearest:
+        near = nearest_lines(lines.rows(rows), lines.rows(others[voting[others]]), k)
+        index = torch.nonzero(voting[others]).flatten()[near.index] if near.index.shape[1] else near.index
+        return Nearest(index.int().masked_fill(near.distance.isinf(), -1), near.distance)
+
+    return _by_family(searched, family, slice(0, len(family)), k, lines.direction).index
 
 
 def _by_family(

@@ -19,6 +19,7 @@ from l2p.attacks.alike import appearances_of
 from l2p.attacks.attack import attributes_of
 from l2p.attacks.learned.embedding import Appearances, unit
 from l2p.errors import InputError
+from l2p.geometry import frame
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.work.progress import NO_PROGRESS, Progress
@@ -124,12 +125,7 @@ def recover_spheres(
 
 def meeting_point(lines: LineCloud) -> Float[np.ndarray, "3"]:
     """The point of least squared distance to the lines, scene units."""
-    foot, direction = lines.origin, lines.direction
-    middle = foot.mean(axis=0)
-    system = len(lines) * np.eye(3) - direction.T @ direction
-    apart = foot - middle
-    across = apart - np.sum(apart * direction, axis=1, keepdims=True) * direction
-    return middle + np.linalg.lstsq(system, across.sum(axis=0), rcond=1e-9)[0]
+    return frame.meeting_point(lines.direction, lines.origin, np.ones(len(lines)))
 
 
 def real(

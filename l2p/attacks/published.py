@@ -19,19 +19,20 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from l2p.attacks.attack import Attack, Elements, Estimate
+from l2p.attacks.families import other_lines_near_lines
 from l2p.attacks.peak import PeakConfig
 from l2p.attacks.settings import PublishedSettings
 from l2p.attacks.votes import equal_weights, vote
 from l2p.errors import InputError
-from l2p.geometry.elements import Lines
-from l2p.geometry.pairs import PARALLEL, closest_points
+from l2p.geometry.nearest import nearest_lines_to_lines
+from l2p.geometry.pairs import closest_points
 from l2p.work.work import Work
 
 #: Neighbours: a share of the lines, at most so many for rays and for pairs.
 _SHARE, _MOST_RAYS, _MOST_PAIRS = 0.05, 500, 1000
 #: Share of the rays, those nearest to the direction from centre to centre, that do not vote.
 _GRAZING = 0.25
-#: Numbers per block of distances, and per block of densities.
+#: Numbers per block of densities.
 _TILE = 1 << 22
 #: Places of the density over one bandwidth, and its range over the distance in which the lines lie.
 _FINE, _RANGE = 4, 2.0
@@ -90,7 +91,7 @@ class Published(Attack):
         along = (state.lines.direction * axis).sum(dim=1).abs()
         voting = along <= along.quantile(1 - _GRAZING)
         count = min(_MOST_RAYS, max(1, round(_SHARE * len(state))))
-        near = _nearest(state.lines, state.lines, count, lambda rows: voting & (family != family[rows, None]), work)
+        near = other_lines_near_lines(state.lines, count, family, voting)
         return vote(state.lines, near, peak=self.config.peak, work=work)
 
     def _pairs(self, state: Elements, twin: Int[Tensor, " lines"], work: Work) -> Estimate:
@@ -98,7 +99,7 @@ class Published(Attack):
         once = row[row < twin]
         lines = state.lines.rows(once)
         count = min(_MOST_PAIRS, max(1, round(_SHARE * len(once))))
-        near = _nearest(lines, lines, count, lambda rows: once != once[rows, None], work)
+        near = nearest_lines_to_lines(lines, count, work=work).index
         votes = closest_points(lines, lines, near)
         half = _RANGE * float(lines.moment.norm(dim=1).quantile(0.97)) or 1.0
         # The frame's unit is the median distance of the lines.
@@ -146,24 +147,6 @@ def two_peaks(
         places.append(torch.where(height[:, :1] > 0, middle, torch.zeros_like(middle)))
         heights.append(height.clamp(0, 1))
     return torch.cat(places), torch.cat(heights)
-
-
-def _nearest(lines: Lines, voters: Lines, k: int, allowed: Any, work: Work) -> Int[Tensor, "lines k"]:
-    """The k allowed voters with the least distance to each line, -1 for none; parallel lines have none."""
-    left = torch.cat([lines.direction, lines.moment], dim=1)
-    right = torch.cat([voters.moment, voters.direction], dim=1)
-    count = len(left)
-    k = max(1, min(k, len(right) - 1))
-    index = torch.empty(count, k, dtype=torch.int32, device=left.device)
-    with work.task("nearest lines to lines", total=count) as advance:
-        for rows in torch.arange(count, device=left.device).split(max(1, _TILE // len(right))):
-            sine2 = 1 - (lines.direction[rows] @ voters.direction.T).square()
-            distance2 = (left[rows] @ right.T).square() / sine2
-            distance2.masked_fill_(~allowed(rows) | (sine2 <= PARALLEL**2), torch.inf)
-            found = distance2.topk(k, dim=1, largest=False)
-            index[rows] = found.indices.int().masked_fill(found.values.isinf(), -1)
-            advance(len(rows))
-    return index
 
 
 def build(settings: PublishedSettings) -> Published:

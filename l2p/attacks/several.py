@@ -18,6 +18,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from l2p.attacks.attack import Attack
+from l2p.attacks.learned.learned import spacing_ratio
 from l2p.attacks.meetings import Meetings, meetings
 from l2p.attacks.named import named_attack
 from l2p.attacks.run import recover
@@ -34,8 +35,6 @@ from l2p.work.progress import NO_PROGRESS, Progress
 
 #: The spacing of points is the median distance to so many neighbours (:func:`l2p.judging.accuracy.spacing`).
 _SPACING_NEIGHBOR = 50
-#: Dimension of the surfaces that points lie on (:class:`l2p.attacks.learned.learned.LearnedConfig`).
-_DIMENSION = 1.9
 #: Largest probability of a place in one source, and of one whose confidence only ranks.
 _SUREST, _RANKS = 1 - 1e-6, 0.5
 #: Share of equal lines from which two files count as the same release.
@@ -107,7 +106,7 @@ def recover_releases(
     if not alone.one_each:
         raise InputError("got an attack that places several points on a line, or none; expected one point per line")
     count = len(common[0])
-    reach = _spacing(alone.xyz[:count]) * (settings.get("fraction") or 1.0) ** (1 / _DIMENSION)
+    reach = _spacing(alone.xyz[:count]) * spacing_ratio(settings.get("fraction") or 1.0)
     ahead = np.sum(common[0].direction * frame.center, axis=1)
     placed = _Places.of(pairs, (alone.beta[:count] - ahead) / frame.unit, _confidence(alone, count))
     beta, probability, met = placed.best(count, reach / frame.unit)

@@ -60,14 +60,14 @@ class Frame:
         lines and a single line leave a direction free; there, the step is the one of least norm from the mean foot.
         """
         # Feet relative to a point amid the lines, so that no digits are lost far from the origin.
-        start = _meeting_point(cloud.direction, cloud.origin, np.ones(len(cloud)))
+        start = meeting_point(cloud.direction, cloud.origin, np.ones(len(cloud)))
         foot = np.cross(cloud.direction, cloud.moment - np.cross(start, cloud.direction))
         step = np.zeros(3)
         for _ in range(_ROUNDS):
             distance = _distance(cloud.direction, foot, step)
             # The floor keeps the weights of lines that pass through the centre itself, and their sum, finite.
             weight = 1 / np.maximum(distance, 1e-6 * distance.mean() + np.finfo(float).tiny ** 0.5)
-            moved = _meeting_point(cloud.direction, foot, weight)
+            moved = meeting_point(cloud.direction, foot, weight)
             done = np.linalg.norm(moved - step) <= _TOLERANCE * distance.mean()
             step = moved
             if done:
@@ -146,7 +146,7 @@ def _axes(foot: Float[np.ndarray, "lines 3"]) -> Float[np.ndarray, "3 3"]:
     return axes
 
 
-def _meeting_point(
+def meeting_point(
     direction: Float[np.ndarray, "lines 3"], foot: Float[np.ndarray, "lines 3"], weight: Float[np.ndarray, " lines"]
 ) -> Float[np.ndarray, "3"]:
     """The point of least weighted sum of squared distances to the lines; if many, the nearest to the mean foot."""

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from l2p.errors import InputError
-from l2p.geometry.frame import Frame
+from l2p.geometry.frame import Frame, meeting_point
 from l2p.maps.lines import LineCloud
 from l2p.utility.queries import Pose
 
@@ -253,9 +253,7 @@ def _meet(lines: LineCloud) -> bool:
     if len(lines) < 3:
         return False
     foot, direction = lines.origin, lines.direction
-    # Across each line, the common point c has the place of the line: (I - d d^T) c = foot.
-    across = len(lines) * np.eye(3) - direction.T @ direction
-    common = np.linalg.lstsq(across, foot.sum(axis=0), rcond=None)[0]
+    common = meeting_point(direction, foot, np.ones(len(lines)))
     off = common - foot - np.sum((common - foot) * direction, axis=1, keepdims=True) * direction
     return bool(np.abs(off).max() <= _SAME * np.abs(common).max())
 
