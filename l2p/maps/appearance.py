@@ -99,6 +99,19 @@ class Appearance:
         return Appearance(rgb) if "descriptor" in names else Appearance(rgb, self.descriptor, self.descriptor_kind)
 
 
+class WithAppearance:
+    """Base of frozen dataclasses with the fields ``rgb``, ``descriptor`` and ``descriptor_kind``."""
+
+    rgb: UInt8[np.ndarray, "rows 3"] | None
+    descriptor: np.ndarray | None
+    descriptor_kind: str | None
+
+    @property
+    def appearance(self) -> Appearance:
+        """Colours and descriptors."""
+        return Appearance(self.rgb, self.descriptor, self.descriptor_kind)
+
+
 #: Geometry alone.
 NO_APPEARANCE = Appearance()
 

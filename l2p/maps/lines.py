@@ -10,7 +10,7 @@ from jaxtyping import Float, Int, UInt8
 
 from l2p.checks import finite_rows, refuse
 from l2p.errors import InputError
-from l2p.maps.appearance import NO_APPEARANCE, Appearance
+from l2p.maps.appearance import NO_APPEARANCE, Appearance, WithAppearance
 
 #: Largest |d| - 1 and |d . m| / |m| that count as rounding: files may be written in single precision.
 UNIT_TOLERANCE = 1e-4
@@ -20,7 +20,7 @@ _ROUNDING = 8 * np.finfo(np.float64).eps
 
 
 @dataclass(frozen=True, eq=False)
-class LineCloud:
+class LineCloud(WithAppearance):
     """N lines in Plücker coordinates.
 
     Parameters
@@ -118,11 +118,6 @@ class LineCloud:
         moment = np.cross(foot, direction)
         kind = appearance.descriptor_kind
         return cls(direction, moment, appearance.rgb, scheme, appearance.descriptor, kind, second)
-
-    @property
-    def appearance(self) -> Appearance:
-        """Colours and descriptors."""
-        return Appearance(self.rgb, self.descriptor, self.descriptor_kind)
 
     def without(self, names: Collection[str]) -> LineCloud:
         """Leave out published attributes, some of ``rgb`` and ``descriptor``."""

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from l2p.checks import finite_rows
-from l2p.maps.appearance import Appearance
+from l2p.maps.appearance import Appearance, WithAppearance
 
 
 @dataclass(frozen=True, eq=False)
-class PermutedCloud:
+class PermutedCloud(WithAppearance):
     """N points, in each of which one coordinate belongs to another point of the map.
 
     Parameters
@@ -52,11 +52,6 @@ class PermutedCloud:
             ("descriptor_kind", appearance.descriptor_kind),
         ):
             object.__setattr__(self, name, value)
-
-    @property
-    def appearance(self) -> Appearance:
-        """Colours and descriptors."""
-        return Appearance(self.rgb, self.descriptor, self.descriptor_kind)
 
     def without(self, names: Collection[str]) -> PermutedCloud:
         """Leave out published attributes, some of ``rgb`` and ``descriptor``."""

@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from l2p.checks import finite_rows, refuse
 from l2p.errors import InputError
-from l2p.maps.appearance import Appearance
+from l2p.maps.appearance import Appearance, WithAppearance
 from l2p.maps.lines import UNIT_TOLERANCE
 
 
 @dataclass(frozen=True, eq=False)
-class PlaneCloud:
+class PlaneCloud(WithAppearance):
     """N planes ``normal . x = offset``.
 
     Parameters
@@ -68,11 +68,6 @@ class PlaneCloud:
             object.__setattr__(self, name, value)
         object.__setattr__(self, "descriptor", appearance.descriptor)
         object.__setattr__(self, "descriptor_kind", appearance.descriptor_kind)
-
-    @property
-    def appearance(self) -> Appearance:
-        """Colours and descriptors."""
-        return Appearance(self.rgb, self.descriptor, self.descriptor_kind)
 
     def distance(self, points: Float[np.ndarray, "planes 3"]) -> Float[np.ndarray, " planes"]:
         """Signed distance of point i from plane i, scene units."""

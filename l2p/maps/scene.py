@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from l2p.maps.appearance import Appearance
+from l2p.maps.appearance import Appearance, WithAppearance
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(WithAppearance):
     """The sparse points of an SfM model.
 
     Attributes
@@ -53,11 +53,6 @@ class Scene:
         appearance.check_rows(len(self.xyz), "points")
         object.__setattr__(self, "descriptor", appearance.descriptor)
         object.__setattr__(self, "descriptor_kind", appearance.descriptor_kind)
-
-    @property
-    def appearance(self) -> Appearance:
-        """Colours and descriptors."""
-        return Appearance(self.rgb, self.descriptor, self.descriptor_kind)
 
     def rows(self, some: Bool[np.ndarray, " points"] | Int[np.ndarray, " some"]) -> Scene:
         """Select points by a mask or row numbers, with all that belongs to them; camera centres stay."""
