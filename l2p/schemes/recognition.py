@@ -1,8 +1,8 @@
 """What a line cloud is, told by the lines alone: are the directions uniform, do lines meet, are they parallel or the
 same?
 
-An attack that was made for uniform lines is confidently wrong about others: rays from two centres are recovered at the
-centres, at 0 % and with a confidence of 80 % (``docs/recognition.md``). So the lines are looked at first.
+An attack that was made for uniform lines is confidently wrong about others, parallel ones above all
+(``docs/recognition.md``). So the lines are looked at first.
 """
 
 from __future__ import annotations
