@@ -23,13 +23,13 @@ from train.infonce import EmbeddingSettings
 CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "train"
 
 
-def _keys_of(default: Any) -> Any:
+def keys_of(default: Any) -> Any:
     """Return the keys and values of a frozen dataclass of the package, as a node that hydra may write to."""
     hints = get_type_hints(type(default))
     keys = []
     for name, value in ((entry.name, getattr(default, entry.name)) for entry in fields(default)):
         if is_dataclass(value):
-            keys.append((name, nested := _keys_of(value), field(default_factory=nested)))
+            keys.append((name, nested := keys_of(value), field(default_factory=nested)))
         elif isinstance(value, tuple):  # OmegaConf has no tuples
             kind = list[get_args(hints[name])[0]]
             keys.append((name, kind, field(default_factory=lambda value=value: list(value))))
@@ -39,9 +39,9 @@ def _keys_of(default: Any) -> Any:
 
 
 NetworkKeys, LearnedKeys, EmbeddingKeys = (
-    _keys_of(NetworkConfig()),
-    _keys_of(LearnedConfig()),
-    _keys_of(EmbeddingSettings()),
+    keys_of(NetworkConfig()),
+    keys_of(LearnedConfig()),
+    keys_of(EmbeddingSettings()),
 )
 
 
@@ -76,14 +76,12 @@ class DataSettings:
 
 
 @dataclass
-class FitSettings:
-    """Settings of the training."""
+class ScheduleSettings:
+    """Length and rate of a training."""
 
     seed: int = MISSING
     steps: int = MISSING
     minutes: float | None = None
-    clouds: int = MISSING
-    lines_per_batch: int = MISSING
     learning_rate: float = MISSING
     weight_decay: float = MISSING
     warmup: int = MISSING
@@ -91,6 +89,14 @@ class FitSettings:
     validate_every: int = MISSING
     patience: int | None = None
     save_every: int = MISSING
+
+
+@dataclass
+class FitSettings(ScheduleSettings):
+    """Settings of the training of the learned attack."""
+
+    clouds: int = MISSING
+    lines_per_batch: int = MISSING
 
 
 @dataclass
@@ -127,14 +133,13 @@ class Settings:
 
 #: Keys that may change between two starts of one run; all others change the model.
 CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "trainer")
-#: Least values of whole numbers; a single line has no neighbour.
-_LEAST = {
-    "min_lines": 2,
-    **dict.fromkeys(("seed", "simulated", "warmup"), 0),
-    **dict.fromkeys(
-        ("map_turns", "steps", "clouds", "lines_per_batch", "validate_every", "patience", "save_every", "threads"), 1
-    ),
+#: Least values of whole numbers of all trainings.
+SCHEDULE_LEAST = {
+    **dict.fromkeys(("seed", "warmup"), 0),
+    **dict.fromkeys(("steps", "validate_every", "patience", "save_every", "threads"), 1),
 }
+#: Least values of whole numbers; a single line has no neighbour.
+_LEAST = {**SCHEDULE_LEAST, "min_lines": 2, "simulated": 0, "map_turns": 1, "clouds": 1, "lines_per_batch": 1}
 
 
 def settings_of(config: DictConfig) -> Settings:
@@ -157,8 +162,8 @@ def settings_of(config: DictConfig) -> Settings:
         raise InputError(str(error)) from error
     return Settings(
         threads=resolved["threads"],
-        data=DataSettings(**_some(DataSettings, resolved)),
-        fit=FitSettings(**_some(FitSettings, resolved)),
+        data=DataSettings(**some(DataSettings, resolved)),
+        fit=FitSettings(**some(FitSettings, resolved)),
         network=network,
         learned=learned,
         embedding=embedding,
@@ -168,14 +173,15 @@ def settings_of(config: DictConfig) -> Settings:
     )
 
 
-def _some(kind: type, resolved: dict[str, Any]) -> dict[str, Any]:
+def some(kind: type, resolved: dict[str, Any]) -> dict[str, Any]:
     return {entry.name: resolved[entry.name] for entry in fields(kind)}
 
 
-def _check(resolved: dict[str, Any]) -> None:
-    for key, least in _LEAST.items():
-        if resolved[key] is not None and resolved[key] < least:
-            raise InputError(f"got {key} {resolved[key]}; expected at least {least}")
+def check_schedule(resolved: dict[str, Any], least: dict[str, int]) -> None:
+    """Check what all trainings have, and the least values of whole numbers; InputError if one is out of range."""
+    for key, lowest in least.items():
+        if resolved[key] is not None and resolved[key] < lowest:
+            raise InputError(f"got {key} {resolved[key]}; expected at least {lowest}")
     for key, most in {"seed": 2**63 - 1, "threads": MOST_THREADS}.items():
         if resolved[key] is not None and resolved[key] > most:
             raise InputError(f"got {key} {resolved[key]}; expected at most {most}")
@@ -184,6 +190,12 @@ def _check(resolved: dict[str, Any]) -> None:
             raise InputError(f"got {key} {resolved[key]}; expected a number that is not negative")
     if resolved["minutes"] is not None and not resolved["minutes"] > 0:
         raise InputError(f"got minutes {resolved['minutes']}; expected more than 0, or null")
+    if not 0 <= resolved["averaging"] < 1:
+        raise InputError(f"got averaging {resolved['averaging']}; expected a number in [0, 1)")
+
+
+def _check(resolved: dict[str, Any]) -> None:
+    check_schedule(resolved, _LEAST)
     scheme_of(resolved["scheme"])
     if not resolved["scenes"] and not resolved["maps"] and resolved["simulated"] < 1:
         raise InputError("got no scenes and no simulated ones; expected scenes=[FOLDER] or simulated=12")
@@ -203,5 +215,3 @@ def _check(resolved: dict[str, Any]) -> None:
         )
     for fraction in resolved["val_fractions"] or [0.0]:
         check_fraction(fraction, "val fraction")
-    if not 0 <= resolved["averaging"] < 1:
-        raise InputError(f"got averaging {resolved['averaging']}; expected a number in [0, 1)")
