@@ -15,6 +15,9 @@ PIP_INSTALL = $(BIN)/python -m pip install -qq --disable-pip-version-check -c co
 # Threads of torch that wait should sleep, not spin: tests then also end on a busy machine.
 export OMP_WAIT_POLICY ?= PASSIVE
 
+# Two processes, each with whole files: fixtures of a file are made once.
+PYTEST_ARGS ?= -n 2 --dist loadfile
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help demo test lint types docs clean

@@ -16,7 +16,11 @@ FLOORS: tuple[dict[str, str], ...] = (
     {"auditing": "the audit and its report", "programs": "what train and eval share"},
     {"show": "pages, pictures, tables"},
     {"judging": "errors, confidence, bounds"},
-    {"attacks": "heuristic, tomography, learned", "utility": "cameras localized in a release"},
+    {
+        "attacks": "heuristic, tomography, learned",
+        "utility": "cameras localized in a release",
+        "images": "pictures of points",
+    },
     {"io": "files in and out"},
     {"geometry": "lines in the frame", "schemes": "points to lines", "simulator": "maps without data"},
     {"maps": "what is known, published, found", "work": "processes, memory, progress"},

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from l2p.auditing.audit import Audit, audit
     from l2p.auditing.report import save_report
     from l2p.errors import InputError
+    from l2p.images.picture import picture
+    from l2p.images.views import View
     from l2p.io.files import load, save
     from l2p.judging.scores import evaluate
     from l2p.maps.lines import LineCloud
@@ -45,6 +47,7 @@ _HOME = {
     "Recovery": "l2p.maps.recovery",
     "Scene": "l2p.maps.scene",
     "Truth": "l2p.maps.truth",
+    "View": "l2p.images.views",
     "__version__": "l2p.version",
     "audit": "l2p.auditing.audit",
     "evaluate": "l2p.judging.scores",
@@ -52,6 +55,7 @@ _HOME = {
     "lift": "l2p.schemes.hide",
     "load": "l2p.io.files",
     "localize": "l2p.utility.releases",
+    "picture": "l2p.images.picture",
     "recover": "l2p.attacks.run",
     "recover_releases": "l2p.attacks.several",
     "save": "l2p.io.files",

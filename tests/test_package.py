@@ -8,6 +8,7 @@ import importlib.util
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,7 @@ def imported(tree: ast.AST) -> Iterator[str]:
             yield node.module
 
 
+@cache
 def arrows() -> set[tuple[str, str]]:
     """Pairs (importer, imported) of modules inside l2p, without the table of public names."""
     known = {name_of(file) for file in modules()}

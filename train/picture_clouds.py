@@ -15,7 +15,7 @@ from l2p.attacks.learned.checkpoint import digest, shipped
 from l2p.attacks.run import recover
 from l2p.errors import InputError
 from l2p.images.photographs import folder_beside, photograph
-from l2p.images.view import View, view_of
+from l2p.images.views import View, view_of
 from l2p.io.atomic import atomic_file
 from l2p.io.colmap import read_model
 from l2p.io.descriptors import load_described

@@ -15,10 +15,10 @@ from torch.utils.data import DataLoader
 
 from l2p.images.inversion import Inversion
 from l2p.images.picture import draw
-from l2p.images.points import PicturePoints
+from l2p.images.picture_points import PicturePoints
 from l2p.images.projection import Marks, marks, sighted
 from l2p.images.similarity import likeness, ssim
-from l2p.images.view import View
+from l2p.images.views import View
 from l2p.maps.appearance import Appearance
 from l2p.maps.scene import Scene
 from train.averaged import AveragedModule

@@ -26,6 +26,7 @@ from l2p.auditing.left_out import LeftOut
 from l2p.auditing.other_schemes import OtherSchemes, attacks_of
 from l2p.auditing.published_again import MOST_RELEASES, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
+from l2p.auditing.seen import Seen
 from l2p.auditing.trial import Trial
 from l2p.checks import check_fraction
 from l2p.errors import InputError
@@ -46,7 +47,7 @@ from l2p.utility.releases import LocalizeConfig, localize_hidden
 from l2p.work.progress import NO_PROGRESS, Progress
 
 #: Version of the layout of ``audit.json``, written into it.
-AUDIT_VERSION = 4
+AUDIT_VERSION = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +89,8 @@ class Audit:
         Attacks on the map hidden by other schemes; None if none was asked for.
     again : PublishedAgain or None
         What several releases of the map give away together; None if only one was asked about.
+    pictures : tuple of Seen
+        Pictures of some views (:func:`l2p.auditing.seen.pictures_of`).
     """
 
     name: str
@@ -106,6 +109,7 @@ class Audit:
     undropped: Localization | None = None
     others: OtherSchemes | None = None
     again: PublishedAgain | None = None
+    pictures: tuple[Seen, ...] = ()
 
     @property
     def scheme(self) -> str:
@@ -177,6 +181,7 @@ class Audit:
             "thresholds": THRESHOLDS.tolist(),
             "coverage": SHARES.tolist(),
             "trials": [trial.as_dict() for trial in self.trials],
+            "pictures": [seen.as_dict() for seen in self.pictures],
             "localization": None if self.localization is None else self.localization.as_dict(),
         }
 

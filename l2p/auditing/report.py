@@ -15,6 +15,7 @@ from l2p.auditing.charts import charts
 from l2p.auditing.decision import decide
 from l2p.auditing.left_out import LeftOut
 from l2p.auditing.page_table import Group, Head, Row, Table
+from l2p.auditing.picture_section import picture_tables
 from l2p.auditing.published_again import EXACT, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
 from l2p.auditing.scheme_comparison import comparison_chart, comparison_table
@@ -110,6 +111,7 @@ def report_page(
         unlocalized=release.unlocalized,
         charts=[*([] if audit.others is None else [comparison_chart(audit, audit.others)]), *charts(audit)],
         spacing=length(audit.spacing, audit.metric),
+        picture_tables=picture_tables(audit),
         seconds=_duration(audit.trials[0].seconds),
         own_colors=audit.trials[0].rgb is not None and "rgb" not in used,
         command=command,

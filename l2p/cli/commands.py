@@ -8,6 +8,7 @@ import tempfile
 import webbrowser
 from argparse import Namespace
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from l2p.cli.lift import described_scene, printable
 from l2p.cli.lift import lift as lift
 from l2p.cli.localize import localize as localize
 from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
+from l2p.cli.picture_command import picture as picture
 from l2p.cli.recover import recover as recover
 from l2p.errors import InputError, sentence
 from l2p.io.atomic import atomic_file, check_folder
@@ -34,6 +36,7 @@ from l2p.work.progress import terminal_progress
 
 if TYPE_CHECKING:
     from l2p.auditing.audit import Audit
+    from l2p.auditing.seen import Place
     from l2p.utility.queries import Queries
 
 
@@ -57,6 +60,7 @@ def audit(arguments: Namespace) -> None:
     from l2p.auditing.audit import audit as examine
     from l2p.auditing.decision import decide, parsed_goal
     from l2p.auditing.report import FILES, PAGE, ReleaseInputs, figures_of, save_report
+    from l2p.auditing.seen import pictures_of
     from l2p.auditing.tradeoff import decision_sentences, option_table
     from l2p.auditing.words import sentences
     from l2p.utility.localization import checked_limits
@@ -77,6 +81,7 @@ def audit(arguments: Namespace) -> None:
             raise InputError(f"got --{flag}-... for a line cloud, whose points are unknown; expected it of l2p lift")
     scene = load_lines(arguments.scene) if lines_given else described_scene(arguments.scene, arguments.descriptors)[0]
     queries, why = _queries(arguments, scene, needed=goal is not None)
+    places = _places(arguments)
     set_threads(arguments.threads)
     found = examine(
         scene,
@@ -97,6 +102,10 @@ def audit(arguments: Namespace) -> None:
         name=printable(arguments.scene),
         **settings_of(arguments),
     )
+    if not isinstance(scene, LineCloud):
+        drop, seeing = dropped(arguments, scene)[0], terminal_progress()
+        seen = pictures_of(found.trials, scene, places, ignored=found.ignored, drop=drop, progress=seeing)
+        found = replace(found, pictures=seen)
     command = _audit_command(arguments, lines_given)
     release = ReleaseInputs(
         goal, printable(arguments.scene), arguments.descriptors or None, tuple(point_words(arguments, "drop")), why
@@ -143,6 +152,18 @@ def _queries(arguments: Namespace, scene: Scene | LineCloud, needed: bool) -> tu
         if needed or arguments.matches != BY_TRACKS:
             raise
         return None, sentence(error)
+
+
+def _places(arguments: Namespace) -> list[Place]:
+    """Views of the model to make pictures of; none of a map that has no views."""
+    from l2p.auditing import VIEWS
+    from l2p.auditing.seen import places_of
+
+    if kind_of(arguments.scene) is not Kind.SCENE_MODEL:
+        if arguments.views or arguments.photographs is not None:
+            raise InputError("got views of a map that is no COLMAP model; expected a model, which has cameras")
+        return []
+    return places_of(arguments.scene, VIEWS if arguments.views is None else arguments.views, arguments.photographs)
 
 
 def _print_figures(audit: Audit) -> None:
@@ -240,6 +261,8 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
         words += [] if value is None else [f"--{name.replace('_', '-')}", str(value)]
     words += ["--schemes", *arguments.schemes] if arguments.schemes else []
     words += [] if arguments.releases == 1 else ["--releases", str(arguments.releases)]
+    words += [] if arguments.views is None else ["--views", str(arguments.views)]
+    words += [] if arguments.photographs is None else ["--photographs", arguments.photographs]
     words += ["--metric"] if arguments.metric else []
     words += [] if arguments.queries == MOST_QUERIES else ["--queries", str(arguments.queries)]
     words += [] if arguments.matches == BY_TRACKS else ["--matches", arguments.matches]

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 from l2p.auditing import FRACTIONS
 from l2p.cli.flags import add_method, add_points
 from l2p.cli.localize_flags import add_decision, add_localization
+from l2p.cli.picture_flags import add_picture, add_views
 from l2p.cli.scheme_flags import add_scheme, scheme_table
 from l2p.errors import InputError, LostProcessError, sentence
 from l2p.judging import CLEANING
@@ -80,7 +81,17 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="l2p", description="Lift points to lines, and recover the points behind a line cloud.")
     parser.add_argument("--version", action="version", version=f"l2p {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_add_lift, _add_recover, _add_evaluate, _add_localize, _add_audit, _add_view, _add_info, _add_demo):
+    for add in (
+        _add_lift,
+        _add_recover,
+        _add_evaluate,
+        _add_localize,
+        _add_audit,
+        _add_view,
+        _add_picture,
+        _add_info,
+        _add_demo,
+    ):
         add(commands)
     return parser
 
@@ -270,6 +281,7 @@ def _add_audit(commands: Any) -> None:
     )
     audit.add_argument("--metric", action="store_true", help="the scene is in metres: tell lengths in centimetres")
     add_decision(audit)
+    add_views(audit)
     audit.add_argument(
         "--max-view-points",
         type=int,
@@ -297,6 +309,14 @@ def _add_view(commands: Any) -> None:
     view.add_argument("--open", action="store_true", help="show the page of -o in the browser, too")
     view.add_argument("--window", action="store_true", help="open a window instead (Open3D; needs a display)")
     _add_force(view)
+
+
+def _add_picture(commands: Any) -> None:
+    picture = _command(commands, "picture", "draw what a camera would have seen, from points or recovered ones")
+    add_picture(picture)
+    _add_ignore(picture, "of the points")
+    _add_json(picture, "FILE", "the figures")
+    _add_force(picture)
 
 
 def _add_info(commands: Any) -> None:

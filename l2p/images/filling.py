@@ -10,9 +10,9 @@ from jaxtyping import Float, UInt8
 from torch.nn import functional
 
 from l2p.errors import InputError
-from l2p.images.points import PicturePoints
+from l2p.images.picture_points import PicturePoints
 from l2p.images.projection import sighted
-from l2p.images.view import View
+from l2p.images.views import View
 
 #: Name of the method in tables.
 FILL_NAME = "filled"

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from l2p.errors import InputError
-from l2p.images.view import View
+from l2p.images.views import View
 
 #: Folders beside a model, and above it, in which photographs are looked for.
 FOLDERS = ("images", "thumbs")

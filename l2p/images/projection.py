@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from l2p.images.view import View
+from l2p.images.views import View
 from l2p.maps.appearance import SIFT, Appearance
 
 #: Side of the cells in which points behind others are left out, pixels, and the ratio to the nearest distance in a

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Num
 
 from l2p.errors import InputError
+from l2p.geometry.camera_rays import camera_rays
 from l2p.io.track_means import Features, Seen, keypoint_descriptors, observations
 
 #: Fewest images that must see a point, besides the query, for the point to be in the map.
@@ -198,24 +199,15 @@ def rays_of(
     cannot be computed, at the edge of an image, it is that of the centre: 1 over the focal length, or a full turn over
     the width of a spherical image, which has no focal length.
     """
-    ray = _rays(camera, xy)
+    ray = camera_rays(camera, xy)
     right, below = _HALF * np.eye(2)
-    across = _rays(camera, xy + right) - _rays(camera, xy - right)
-    down = _rays(camera, xy + below) - _rays(camera, xy - below)
+    across = camera_rays(camera, xy + right) - camera_rays(camera, xy - right)
+    down = camera_rays(camera, xy + below) - camera_rays(camera, xy - below)
     with np.errstate(invalid="ignore"):
         pixel = np.sqrt(np.linalg.norm(np.cross(across, down), axis=1)) / (2 * _HALF)
     focal = camera.mean_focal_length()
     central = 1 / focal if focal > 0 else 2 * np.pi / camera.width
     return ray, np.where(np.isfinite(pixel) & (pixel > 0), pixel, central)
-
-
-def _rays(camera: Any, xy: Float[np.ndarray, "keypoints 2"]) -> Float[np.ndarray, "keypoints 3"]:
-    if hasattr(camera, "cam_ray_from_img"):  # pycolmap 4: also rays that point backwards
-        ray = np.asarray(camera.cam_ray_from_img(xy), dtype=np.float64)
-    else:
-        plane = np.asarray(camera.cam_from_img(xy), dtype=np.float64)
-        ray = np.column_stack([plane, np.ones(len(plane))])
-    return ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
 def evenly(queries: Sequence[Query], most: int | None) -> list[Query]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from l2p.errors import InputError
+from l2p.geometry.camera_rays import camera_rays
 
 #: Longest side of a picture, pixels: the network was trained on photographs of this size.
 LONG_SIDE = 320
@@ -66,7 +67,7 @@ class View:
             found = np.asarray(self.camera.img_from_cam(local[ahead]), dtype=np.float64)
             inside = (found >= 0).all(axis=1) & (found < [self.width, self.height]).all(axis=1)
             ahead, found = ahead[inside], found[inside]
-            back = _rays(self.camera, found)
+            back = camera_rays(self.camera, found)
             off = np.linalg.norm(back - local[ahead] / distance[ahead, None], axis=1)
         true = off < _FOLDED
         pixel[ahead[true]] = found[true]
@@ -145,11 +146,31 @@ def placed_view(
     return View(rotation, -rotation @ center, camera, name)
 
 
-def _rays(camera: Any, pixel: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 3"]:
-    """Unit rays of pixels, NaN where the camera model has none."""
-    if hasattr(camera, "cam_ray_from_img"):  # pycolmap 4: also rays that point backwards
-        ray = np.asarray(camera.cam_ray_from_img(pixel), dtype=np.float64)
-    else:
-        plane = np.asarray(camera.cam_from_img(pixel), dtype=np.float64)
-        ray = np.column_stack([plane, np.ones(len(plane))])
-    return ray / np.linalg.norm(ray, axis=1, keepdims=True)
+def panorama_view(
+    center: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"], width: int = 2 * LONG_SIDE, *, name: str = ""
+) -> View:
+    """Look all around from a place: an equirectangular picture, half as high as wide.
+
+    Raises
+    ------
+    InputError
+        If ``up`` has no direction, or pycolmap is older than 4, which has no such cameras.
+    """
+    import pycolmap
+
+    if not hasattr(pycolmap.CameraModelId, "EQUIRECTANGULAR"):
+        raise InputError(
+            f"got pycolmap {pycolmap.__version__}, which has no panoramas; install pycolmap 4 or newer, or choose a "
+            "camera by --at and --toward"
+        )
+    length = np.linalg.norm(up)
+    if not np.isfinite(length) or length == 0:
+        raise InputError("got an up direction of length 0; expected a direction")
+    down = -np.asarray(up, dtype=np.float64) / length
+    other = np.eye(3)[int(np.abs(down).argmin())]
+    right = np.cross(down, other)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, down, np.cross(right, down)])
+    height = width // 2
+    camera = pycolmap.Camera(model="EQUIRECTANGULAR", width=width, height=height, params=[width, height])
+    return View(rotation, -rotation @ center, camera, name)
