@@ -16,8 +16,9 @@ from l2p.images.views import View
 
 #: Name of the method in tables.
 FILL_NAME = "filled"
-#: Standard deviation of the Gaussian, pixels; where it meets no point it is doubled, again and again.
-SIGMA = 4.0
+#: Standard deviation of the Gaussian, pixels. Where it meets no point it is doubled, up to the widest; beyond, a pixel
+#: has the mean colour.
+SIGMA, WIDEST = 4.0, 64.0
 #: Weight of the points around a pixel below which the next wider Gaussian takes over.
 _THIN = 1e-3
 
@@ -40,9 +41,10 @@ def gaussian_fill(points: PicturePoints, view: View) -> UInt8[np.ndarray, "heigh
     sums = torch.zeros(view.height * view.width, 4)
     sums.index_add_(0, torch.from_numpy(found.place), torch.cat([color * weight[:, None], weight[:, None]], dim=1))
     sums = sums.T.reshape(4, 1, view.height, view.width)
-    sigma, picture = SIGMA, torch.full((3, 1, view.height, view.width), 0.5)
-    wide = []
-    while sigma < 2 * max(view.height, view.width):
+    total = sums.sum(dim=(2, 3), keepdim=True)
+    picture = (total[:3] / total[3:].clamp_min(1e-12)).expand(3, 1, view.height, view.width)
+    sigma, wide = SIGMA, []
+    while sigma <= WIDEST:
         wide.append(_blurred(sums, sigma))
         sigma *= 2
     for around in reversed(wide):  # from wide to narrow
