@@ -15,7 +15,7 @@ from l2p.attacks.run import usable_device
 from l2p.checks import check_fraction
 from l2p.errors import InputError
 from l2p.schemes.scheme import scheme_of
-from l2p.work.threads import MOST_THREADS
+from l2p.work.launched import MOST_THREADS
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "eval"
 

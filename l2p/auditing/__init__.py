@@ -2,3 +2,6 @@
 
 #: Default fractions of the points that are lifted, from the whole map to a very sparse one.
 FRACTIONS = (1.0, 0.5, 0.1, 0.05, 0.01)
+
+#: Files of the folder of a report.
+PAGE, FIGURES = FILES = ("index.html", "audit.json")
