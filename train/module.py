@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+import logging
 import math
 import signal
 import time
@@ -27,6 +28,8 @@ from train.losses import losses
 from train.pool import Pool
 from train.sources import Sources
 from train.train_config import FitSettings
+
+log = logging.getLogger("train")
 
 #: Final learning rate, as a fraction of the largest.
 _LAST_RATE = 0.02
@@ -92,6 +95,7 @@ class NetworkModule(lightning.LightningModule):
             # Lightning's SIGTERM handler issues a collective and deadlocks.
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
         self._began = time.monotonic()
+        log.info("lifting the first %d line clouds", self.fit.clouds)
         rank, ranks = self.global_rank, self.trainer.world_size
         self.pool = Pool(self.sources, self.attack, self.fit.clouds, self.fit.seed, rank, ranks, self.embeddings)
         if rank < len(self._pools_before):
@@ -125,6 +129,7 @@ class NetworkModule(lightning.LightningModule):
         figures = {name: value for name, value in found._asdict().items() if name not in ("moved", "error")}
         figures |= {"median": found.error.median(), "within": (found.error <= 1).float().mean()}
         self.log_dict({f"train/{name}": value for name, value in figures.items()}, batch_size=1)
+        self.log("loss", found.total.detach(), prog_bar=True, logger=False, batch_size=1)
         return found.total
 
     def optimizer_step(self, *arguments: Any, **named: Any) -> None:

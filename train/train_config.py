@@ -15,6 +15,7 @@ from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import NetworkConfig
 from l2p.checks import check_fraction
 from l2p.errors import InputError
+from l2p.programs.keys import check_keys
 from l2p.schemes.scheme import scheme_of
 from l2p.simulator import MAX_POINTS, MIN_POINTS
 from l2p.work.launched import MOST_THREADS
@@ -101,6 +102,7 @@ class TrainConfig(DataSettings, FitSettings):
     start: str | None = None
     run: str = MISSING
     threads: int | None = None
+    logger: dict[str, Any] = field(default_factory=dict)
     trainer: TrainerKeys = field(default_factory=TrainerKeys)
     network: NetworkKeys = field(default_factory=NetworkKeys)  # type: ignore[valid-type]
     learned: LearnedKeys = field(default_factory=LearnedKeys)  # type: ignore[valid-type]
@@ -122,11 +124,12 @@ class Settings:
     embedding: EmbeddingSettings
     start: str | None
     trainer: dict[str, Any]
+    logger: dict[str, Any]
     resolved: dict[str, Any]
 
 
 #: Keys that may change between two starts of one run; all others change the model.
-CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "trainer")
+CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "logger", "trainer")
 #: Least values of whole numbers; a single line has no neighbour.
 _LEAST = {
     "min_lines": 2,
@@ -146,6 +149,7 @@ def settings_of(config: DictConfig) -> Settings:
         If a value is out of range.
     """
     resolved: Any = OmegaConf.to_container(config, resolve=True)
+    check_keys(resolved, TrainConfig, "configs/train/train.yaml")
     _check(resolved)
     try:
         network, learned, embedding = (
@@ -164,6 +168,7 @@ def settings_of(config: DictConfig) -> Settings:
         embedding=embedding,
         start=resolved["start"],
         trainer=resolved["trainer"],
+        logger=resolved["logger"],
         resolved=resolved,
     )
 

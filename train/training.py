@@ -17,7 +17,6 @@ import torch
 import yaml
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Callback, EarlyStopping, ModelCheckpoint
-from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 
@@ -35,7 +34,7 @@ from train import infonce
 from train.clouds import CloudSource, lifted, read
 from train.infonce import Embeddings
 from train.judging import Judged, calibrate, figures, rounds_of
-from train.lightning_parts import AtomicCheckpoints, FigureTable
+from train.lightning_parts import AtomicCheckpoints, FigureTable, LossLines, chosen_logger
 from train.module import NetworkModule
 from train.sources import Sources, validation_sources
 from train.start import start_from
@@ -73,6 +72,7 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
     _sweep(folder)
     if settings.threads is not None:
         torch.set_num_threads(settings.threads)
+    log.info("reading the scenes")
     sources, held_back = Sources.of(settings.data), validation_sources(settings.data)
     log.info("%d scenes, %d clouds held back", len(sources.scenes), len(held_back))
     embeddings = _embeddings(settings, folder / EMBEDDINGS, sources, held_back)
@@ -98,6 +98,10 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
             trainer.fit(module, ckpt_path=str(last) if last.exists() else None, weights_only=True)
         except SIGTERMException as stop:
             raise SystemExit(_TERMINATED) from stop  # Lightning would exit with 0
+        except SystemExit as stop:
+            if trainer.interrupted:  # Lightning turns Ctrl-C into exit code 1
+                raise KeyboardInterrupt from stop
+            raise
     model = folder / MODEL
     if trainer.is_global_zero:
         about = {
@@ -142,9 +146,9 @@ def _trainer(settings: Settings, place: Path, callbacks: Sequence[Callback]) -> 
         gradient_clip_val=1.0,
         use_distributed_sampler=False,
         log_every_n_steps=min(50, fit.save_every),
-        logger=[FigureTable(place), TensorBoardLogger(place, name="", version="")],
+        logger=[FigureTable(place), *chosen_logger(settings.logger, place)],
         plugins=[AtomicCheckpoints()],
-        callbacks=[*stopping, *callbacks, saving],
+        callbacks=[*stopping, *callbacks, saving, *([] if sys.stderr.isatty() else [LossLines()])],
         enable_progress_bar=sys.stderr.isatty(),
         enable_model_summary=False,
         default_root_dir=place,

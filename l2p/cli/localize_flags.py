@@ -18,7 +18,7 @@ def add_localization(localize: argparse.ArgumentParser) -> None:
         choices=(POINTS, *SCHEMES),
         default=(POINTS, DEFAULT_SCHEME),
         metavar="NAME",
-        help=f"ways to publish: {POINTS}, as they are, or hidden by a scheme of l2p lift --scheme (default: {POINTS} and "
+        help=f"ways to publish: {POINTS}, as they are, or hidden by a scheme of l2p lift (default: {POINTS} and "
         f"{DEFAULT_SCHEME}); the points are the same for all",
     )
     localize.add_argument(
