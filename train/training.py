@@ -99,7 +99,8 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
         except SIGTERMException as stop:
             raise SystemExit(_TERMINATED) from stop  # Lightning would exit with 0
         except SystemExit as stop:
-            if trainer.interrupted:  # Lightning turns Ctrl-C into exit code 1
+            if trainer.interrupted:  # Lightning turns Ctrl-C into exit code 1, and ignores the next
+                signal.signal(signal.SIGINT, signal.default_int_handler)
                 raise KeyboardInterrupt from stop
             raise
     model = folder / MODEL
