@@ -214,8 +214,8 @@ def audit(
     Parameters
     ----------
     scene : Scene, (points, 3) array, LineCloud or path
-        The map, or the path of its file. A scene or its points are lifted, attacked and scored. A line cloud is attacked
-        as it is. Its colours and descriptors are taken as published.
+        The map, or the path of its file. A scene or its points are lifted, attacked and scored. A line cloud is
+        attacked as it is. Its colours and descriptors are taken as published.
     fractions : sequence of float, optional
         Fractions of the points to lift, in (0, 1]; default :data:`FRACTIONS`. Not with a line cloud.
     seed : int
