@@ -271,7 +271,8 @@ def audit(
     scene = given_scene(scene)
     check_seed(seed)
     # One name, or one number, where several may be given.
-    ignore, schemes = ((each,) if isinstance(each, str) else each for each in (ignore, schemes))
+    ignore = (ignore,) if isinstance(ignore, str) else ignore
+    schemes = (schemes,) if isinstance(schemes, str) else schemes
     fractions = [fractions] if isinstance(fractions, int | float) else fractions
     drop, region = (None if each is None else np.asarray(each) for each in (drop, region))
     if isinstance(scene, LineCloud) and (fractions is not None or queries is not None):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -22,7 +24,7 @@ def text_bytes(
     >>> text_bytes(".csv", np.array([[0.1, 2.0, 3.0]]), confidence=np.array([0.75], dtype=np.float32))
     b'x,y,z,confidence\\n0.1,2.0,3.0,0.75\\n'
     """
-    columns = [map(repr, xyz[:, axis].tolist()) for axis in range(3)]
+    columns: list[Iterable[str]] = [map(repr, xyz[:, axis].tolist()) for axis in range(3)]
     names = ["x", "y", "z"]
     if rgb is not None and ending != ".xyz":
         columns += [map(str, rgb[:, channel].tolist()) for channel in range(3)]

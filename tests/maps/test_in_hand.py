@@ -47,6 +47,7 @@ def test_paths_do_as_well_as_what_is_in_the_files(tmp_path: Path, points: np.nda
     truth = dataclasses.replace(hidden.truth, spacing=0.5)
     l2p.save(truth, tmp_path / "truth.npz")
     lines = given_map(tmp_path / "lines.npz")
+    assert isinstance(lines, l2p.LineCloud)
     np.testing.assert_array_equal(lines.direction, hidden.map.direction)
     assert given_map(lines) is lines
     recovery = l2p.recover(str(tmp_path / "lines.npz"), method="tomography", rounds=0)
