@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from eval.contenders import identity_of
+from eval.contenders import identity_of, source_of
 from eval.contract import Contender, Trial
 from eval.eval_config import Settings
 from l2p.errors import InputError
@@ -132,8 +132,12 @@ class Store:
         return self.predictions / f"{cell.key}.json"
 
     def done(self, cell: Cell) -> bool:
-        """Whether the cell is predicted."""
-        return self.prediction(cell).is_file() and self.record(cell).is_file()
+        """Whether the cell is predicted, by the present source if the method is a user's own."""
+        if not (self.prediction(cell).is_file() and self.record(cell).is_file()):
+            return False
+        source = source_of(cell.contender)
+        # Records of earlier versions do not say it.
+        return source is None or read_json(self.record(cell)).get("source", source) == source
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -256,6 +260,7 @@ def predict(cell: Cell, store: Store) -> None:
         "info": recovery.info,
         "commit": commit(),
         "code": source_digest(),
+        "source": source_of(cell.contender),
         "made": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
     write_json(store.record(cell), record)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -218,7 +219,7 @@ class CallContender:
         return as_recovery(answer, trial.lines, self.path, self.calibrated)
 
     def files(self, cloud: str) -> dict[str, str]:
-        """Return no digests: its code may change between cells, as that of l2p may."""
+        """Return no digests: its code is not an input, but is judged anew when it changes (:func:`source_of`)."""
         return {}
 
 
@@ -317,6 +318,15 @@ def identity_of(contender: Contender, cloud: str) -> dict[str, Any]:
         if name in parameters and parameters[name] == default:
             del parameters[name]
     return {"class": type(contender).__name__, **parameters, **contender.files(cloud)}
+
+
+def source_of(contender: Contender) -> str | None:
+    """Return a digest of the file that a user's method is in; None for methods of l2p, or without a file."""
+    if not isinstance(contender, CallContender | UserAttackContender):
+        return None
+    found = find_spec(contender.path.partition(":")[0])
+    file = None if found is None or found.origin is None else Path(found.origin)
+    return checkpoint.digest(file) if file is not None and file.is_file() else None
 
 
 def lines_alone(contender: Contender, contenders: Sequence[Contender]) -> Contender | None:

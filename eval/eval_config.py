@@ -14,8 +14,9 @@ from eval.contract import Contender
 from l2p.attacks.run import usable_device
 from l2p.checks import check_fraction
 from l2p.errors import InputError
+from l2p.programs.keys import check_keys
 from l2p.schemes.scheme import scheme_of
-from l2p.work.threads import MOST_THREADS
+from l2p.work.launched import MOST_THREADS
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "eval"
 
@@ -99,6 +100,7 @@ def settings_of(config: DictConfig) -> Settings:
         If a value is out of range, or a method or one of its parameters is unknown.
     """
     resolved: Any = OmegaConf.to_container(config, resolve=True)
+    check_keys(resolved, EvalConfig, "configs/eval/eval.yaml")
     for key in ("scenes", "methods", "fractions", "schemes", "seeds", "steps"):
         _check_list(key, resolved[key])
     for fraction in resolved["fractions"]:

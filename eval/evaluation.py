@@ -64,6 +64,9 @@ def evaluate_all(settings: Settings, folder: Path, command: str) -> int:
 def _predict_all(cells: Sequence[Cell], store: Store, settings: Settings) -> int:
     """Predict the missing cells; a failure is logged and does not stop the others."""
     open_cells = [cell for cell in cells if not store.done(cell)]
+    edited = sum(store.prediction(cell).is_file() and store.record(cell).is_file() for cell in open_cells)
+    if edited:
+        log.info("%d predictions are made anew: the file of their method has changed", edited)
     processes, threads = plan(settings, open_cells)
     log.info(
         "%d of %d cells to predict, into %s; processes: %d, threads of each: %d",

@@ -15,6 +15,11 @@ from l2p.errors import InputError
 from l2p.judging.measure import Form, arithmetic_mean, figures
 from l2p.show.tables import console
 
+#: Width of printed tables where stdout is no terminal.
+WIDTH = 80
+#: Headings of the columns that stay beside the first in every part of a table: with it they name the row.
+_LEADS = ("points", "scenes", "kind", "lines", "scheme")
+
 #: Line after a table in a file that is updated; the line before it is <!-- eval:RUN:TABLE -->.
 PLACE_END = "<!-- /eval -->"
 
@@ -80,14 +85,45 @@ NOTE = (
 
 
 def print_tables(found: Iterable[Table]) -> None:
-    """Print tables to stdout."""
+    """Print tables to stdout; those that are too wide, in parts below each other."""
+    shown = console()
     for table in found:
-        shown = RichTable(title=table.title)
-        for i, heading in enumerate(table.head):
-            shown.add_column(heading, no_wrap=i == 0)
-        for row in table.body:
-            shown.add_row(*row)
-        console().print(shown)
+        for part in fitted(table, min(shown.width, WIDTH) if not shown.is_terminal else shown.width):
+            rich = RichTable(title=part.title)
+            for i, heading in enumerate(part.head):
+                rich.add_column(heading, no_wrap=i == 0)
+            for row in part.body:
+                rich.add_row(*row)
+            shown.print(rich)
+
+
+def fitted(table: Table, width: int) -> list[Table]:
+    """Divide a table into parts that fit, by columns: each has the first, and the columns of texts that follow it.
+
+    A column is at least as wide as its cells and the longest word of its heading. A part has at least one more column.
+    """
+    sizes = [
+        max(*(len(row[i]) for row in table.body), *map(len, table.head[i].split()), 0) + 3
+        for i in range(len(table.head))
+    ]
+    lead = next((i for i in range(1, len(table.head)) if table.head[i] not in _LEADS), len(table.head))
+    parts: list[list[int]] = []
+    for i in range(lead, len(table.head)):
+        if not parts or 1 + sum(sizes[j] for j in (*range(lead), *parts[-1], i)) > width:
+            parts.append([])
+        parts[-1].append(i)
+    if len(parts) < 2:
+        return [table]
+    chosen = [[*range(lead), *part] for part in parts]
+    return [
+        Table(
+            table.name,
+            f"{table.title} ({number} of {len(chosen)})",
+            [table.head[i] for i in columns],
+            [[row[i] for i in columns] for row in table.body],
+        )
+        for number, columns in enumerate(chosen, 1)
+    ]
 
 
 class Image(NamedTuple):

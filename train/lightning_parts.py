@@ -1,17 +1,30 @@
-"""Plugins for Lightning: atomic checkpoints, and an append-only table of figures."""
+"""Parts for Lightning: atomic checkpoints, an append-only table of figures, other loggers, and lines with the loss."""
 
 from __future__ import annotations
 
 import csv
+import logging
+import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import lightning
 import torch
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
 from lightning.fabric.plugins import TorchCheckpointIO
 from lightning.fabric.utilities.rank_zero import rank_zero_only
+from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.loggers.logger import Logger
 
+from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
+
+log = logging.getLogger("train")
+
+#: Value of a key of a logger that stands for the folder of the run.
+FOLDER = "FOLDER"
 
 
 class AtomicCheckpoints(TorchCheckpointIO):
@@ -59,6 +72,50 @@ class FigureTable(Logger):
 
     def log_hyperparams(self, params: Any, *args: Any, **kwargs: Any) -> None:
         """Do nothing: hyperparameters are in config.yaml."""
+
+
+class LossLines(Callback):
+    """A line in the log with step and loss: soon, then every minute; for where there is no bar."""
+
+    def __init__(self, every: float = 60.0) -> None:
+        self.every = every
+        self._next = self._began = 0.0
+
+    def on_train_start(self, trainer: lightning.Trainer, pl_module: lightning.LightningModule) -> None:
+        """Start the clock."""
+        self._next = self._began = time.monotonic()
+
+    def on_train_batch_end(
+        self, trainer: lightning.Trainer, pl_module: lightning.LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        """Log the loss of this step, if it is time."""
+        now = time.monotonic()
+        if now < self._next or not trainer.is_global_zero:
+            return
+        # After the first step, the double time each, up to a minute.
+        self._next = now + min(max(now - self._began, 1.0), self.every)
+        loss = float(outputs["loss"] if isinstance(outputs, Mapping) else outputs)
+        log.info("step %d of at most %d: loss %.4f", trainer.global_step, trainer.max_steps, loss)
+
+
+def chosen_logger(config: Mapping[str, Any], folder: Path) -> list[Logger]:
+    """Make the logger of ``configs/train/logger/``, besides ``figures.csv``; none without ``_target_``.
+
+    Raises
+    ------
+    InputError
+        If its package is not installed, or it cannot be made so.
+    """
+    if not config.get("_target_"):
+        return []
+    given = {key: str(folder) if value == FOLDER else value for key, value in config.items()}
+    try:
+        return [instantiate(given)]
+    except (InstantiationException, ModuleNotFoundError, TypeError, ValueError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(
+            f"got logger {config['_target_']}, which says: {reason}; install its package, or give logger=none"
+        ) from error
 
 
 def _without_torn_row(file: Path) -> None:

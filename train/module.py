@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import signal
 from collections.abc import Sequence
@@ -23,6 +24,8 @@ from train.losses import losses
 from train.pool import Pool
 from train.sources import Sources
 from train.train_config import FitSettings
+
+log = logging.getLogger("train")
 
 #: Names of the validation figures.
 _FIGURES = ("val/score", "val/median", "val/within")
@@ -72,6 +75,7 @@ class NetworkModule(AveragedModule):
             # Lightning's SIGTERM handler issues a collective and deadlocks.
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
         super().on_train_start()
+        log.info("lifting the first %d line clouds", self.fit.clouds)
         rank, ranks = self.global_rank, self.trainer.world_size
         self.pool = Pool(self.sources, self.attack, self.fit.clouds, self.fit.seed, rank, ranks, self.embeddings)
         if rank < len(self._pools_before):
@@ -90,6 +94,7 @@ class NetworkModule(AveragedModule):
         figures = {name: value for name, value in found._asdict().items() if name not in ("moved", "error")}
         figures |= {"median": found.error.median(), "within": (found.error <= 1).float().mean()}
         self.log_dict({f"train/{name}": value for name, value in figures.items()}, batch_size=1)
+        self.log("loss", found.total.detach(), prog_bar=True, logger=False, batch_size=1)
         return found.total
 
     def validation_step(self, batch: int, batch_idx: int) -> None:

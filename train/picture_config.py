@@ -12,6 +12,7 @@ from l2p.attacks.learned.checkpoint import configured
 from l2p.checks import check_fraction
 from l2p.errors import InputError
 from l2p.images.inversion import InversionConfig
+from l2p.programs.keys import check_keys
 from train.train_config import SCHEDULE_LEAST, ScheduleSettings, TrainerKeys, check_schedule, keys_of, some
 
 InversionKeys = keys_of(InversionConfig())
@@ -38,6 +39,7 @@ class PictureConfig(PictureSettings):
     name: str = MISSING
     run: str = MISSING
     threads: int | None = None
+    logger: dict[str, Any] = field(default_factory=dict)
     trainer: TrainerKeys = field(default_factory=TrainerKeys)
     network: InversionKeys = field(default_factory=InversionKeys)  # type: ignore[valid-type]
 
@@ -52,7 +54,6 @@ class PictureRun:
     threads: int | None
     fit: PictureSettings
     network: InversionConfig
-    trainer: dict[str, Any]
     resolved: dict[str, Any]
 
 
@@ -65,6 +66,7 @@ def picture_run_of(config: DictConfig) -> PictureRun:
         If a value is out of range.
     """
     resolved: Any = OmegaConf.to_container(config, resolve=True)
+    check_keys(resolved, PictureConfig, "configs/train/pictures.yaml")
     check_schedule(resolved, {**SCHEDULE_LEAST, "crops": 1, "val_views": 1})
     for name in ("maps", "val_maps"):
         if not resolved[name]:
@@ -86,6 +88,5 @@ def picture_run_of(config: DictConfig) -> PictureRun:
         threads=resolved["threads"],
         fit=PictureSettings(**some(PictureSettings, resolved)),
         network=network,
-        trainer=resolved["trainer"],
         resolved=resolved,
     )

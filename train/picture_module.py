@@ -81,6 +81,7 @@ class PictureModule(AveragedModule):
         picture = self.network(together, (len(crops), side, side))
         loss, figures = picture_loss(picture, photograph, inside)
         self.log_dict({f"train/{name}": value for name, value in figures.items()}, batch_size=1)
+        self.log("loss", loss.detach(), prog_bar=True, logger=False, batch_size=1)
         return loss
 
     def validation_step(self, batch: int, batch_idx: int) -> None:

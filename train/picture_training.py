@@ -42,7 +42,7 @@ def train_pictures(run: PictureRun, folder: Path, command: str, callbacks: Seque
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         module = PictureModule(Inversion(run.network), settings, maps, held)
-    trainer = fit(module, run.trainer, folder, callbacks)
+    trainer = fit(module, run.resolved, folder, callbacks)
     model = folder / MODEL
     if trainer.is_global_zero:
         network = halved(module.average.cpu().eval())

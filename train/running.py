@@ -16,7 +16,6 @@ import torch
 import yaml
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import Callback, EarlyStopping, ModelCheckpoint
-from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities import rank_zero_only
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 
@@ -25,7 +24,7 @@ from l2p.io.atomic import atomic_file
 from l2p.judging.provenance import machine, versions
 from l2p.programs.commits import commit
 from train.averaged import AveragedModule
-from train.lightning_parts import AtomicCheckpoints, FigureTable
+from train.lightning_parts import AtomicCheckpoints, FigureTable, LossLines, chosen_logger
 from train.train_config import CHANGEABLE, ScheduleSettings
 
 log = logging.getLogger("train")
@@ -62,11 +61,13 @@ def begin(folder: Path, resolved: dict[str, Any], threads: int | None) -> None:
 
 def fit(
     module: AveragedModule,
-    trainer_keys: dict[str, Any],
+    resolved: dict[str, Any],
     folder: Path,
     callbacks: Sequence[Callback] = (),
 ) -> lightning.Trainer:
     """Train the module, from the last state in the folder if there is one; return the trainer.
+
+    The keys ``trainer`` and ``logger`` of the resolved config are Lightning's.
 
     Raises
     ------
@@ -79,13 +80,18 @@ def fit(
         log.info("going on from %s", last)
     with _quiet_lightning():
         try:
-            trainer = _trainer(module.schedule, trainer_keys, folder, callbacks)
+            trainer = _trainer(module.schedule, resolved, folder, callbacks)
         except (MisconfigurationException, ValueError) as error:
-            raise InputError(f"got {trainer_keys} for Lightning's trainer, which says: {error}") from error
+            raise InputError(f"got {resolved['trainer']} for Lightning's trainer, which says: {error}") from error
         try:
             trainer.fit(module, ckpt_path=str(last) if last.exists() else None, weights_only=True)
         except SIGTERMException as stop:
             raise SystemExit(_TERMINATED) from stop  # Lightning would exit with 0
+        except SystemExit as stop:
+            if trainer.interrupted:  # Lightning turns Ctrl-C into exit code 1, and ignores the next
+                signal.signal(signal.SIGINT, signal.default_int_handler)
+                raise KeyboardInterrupt from stop
+            raise
     return trainer
 
 
@@ -129,14 +135,14 @@ def _quiet_lightning() -> Iterator[None]:
 
 
 def _trainer(
-    schedule: ScheduleSettings, trainer_keys: dict[str, Any], place: Path, callbacks: Sequence[Callback]
+    schedule: ScheduleSettings, resolved: dict[str, Any], place: Path, callbacks: Sequence[Callback]
 ) -> lightning.Trainer:
     saving = ModelCheckpoint(
         dirpath=place, filename="last", every_n_train_steps=schedule.save_every, enable_version_counter=False
     )
     stopping = [] if schedule.patience is None else [EarlyStopping("val/score", patience=schedule.patience)]
     return lightning.Trainer(
-        **trainer_keys,
+        **resolved["trainer"],
         max_steps=schedule.steps,
         max_epochs=-1,
         val_check_interval=min(schedule.validate_every, schedule.steps),
@@ -145,9 +151,9 @@ def _trainer(
         gradient_clip_val=1.0,
         use_distributed_sampler=False,
         log_every_n_steps=min(50, schedule.save_every),
-        logger=[FigureTable(place), TensorBoardLogger(place, name="", version="")],
+        logger=[FigureTable(place), *chosen_logger(resolved["logger"], place)],
         plugins=[AtomicCheckpoints()],
-        callbacks=[*stopping, *callbacks, saving],
+        callbacks=[*stopping, *callbacks, saving, *([] if sys.stderr.isatty() else [LossLines()])],
         enable_progress_bar=sys.stderr.isatty(),
         enable_model_summary=False,
         default_root_dir=place,

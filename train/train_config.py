@@ -15,9 +15,10 @@ from l2p.attacks.learned.learned_config import LearnedConfig
 from l2p.attacks.learned.network import NetworkConfig
 from l2p.checks import check_fraction
 from l2p.errors import InputError
+from l2p.programs.keys import check_keys
 from l2p.schemes.scheme import scheme_of
 from l2p.simulator import MAX_POINTS, MIN_POINTS
-from l2p.work.threads import MOST_THREADS
+from l2p.work.launched import MOST_THREADS
 from train.infonce import EmbeddingSettings
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs" / "train"
@@ -107,6 +108,7 @@ class TrainConfig(DataSettings, FitSettings):
     start: str | None = None
     run: str = MISSING
     threads: int | None = None
+    logger: dict[str, Any] = field(default_factory=dict)
     trainer: TrainerKeys = field(default_factory=TrainerKeys)
     network: NetworkKeys = field(default_factory=NetworkKeys)  # type: ignore[valid-type]
     learned: LearnedKeys = field(default_factory=LearnedKeys)  # type: ignore[valid-type]
@@ -127,12 +129,11 @@ class Settings:
     learned: LearnedConfig
     embedding: EmbeddingSettings
     start: str | None
-    trainer: dict[str, Any]
     resolved: dict[str, Any]
 
 
 #: Keys that may change between two starts of one run; all others change the model.
-CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "trainer")
+CHANGEABLE = ("steps", "minutes", "patience", "save_every", "threads", "logger", "trainer")
 #: Least values of whole numbers of all trainings.
 SCHEDULE_LEAST = {
     **dict.fromkeys(("seed", "warmup"), 0),
@@ -151,6 +152,7 @@ def settings_of(config: DictConfig) -> Settings:
         If a value is out of range.
     """
     resolved: Any = OmegaConf.to_container(config, resolve=True)
+    check_keys(resolved, TrainConfig, "configs/train/train.yaml")
     _check(resolved)
     try:
         network, learned, embedding = (
@@ -168,7 +170,6 @@ def settings_of(config: DictConfig) -> Settings:
         learned=learned,
         embedding=embedding,
         start=resolved["start"],
-        trainer=resolved["trainer"],
         resolved=resolved,
     )
 

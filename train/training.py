@@ -40,6 +40,7 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
         If a scene is missing, or the run in the folder was started with another config.
     """
     begin(folder, settings.resolved, settings.threads)
+    log.info("reading the scenes")
     sources, held_back = Sources.of(settings.data), validation_sources(settings.data)
     log.info("%d scenes, %d clouds held back", len(sources.scenes), len(held_back))
     embeddings = _embeddings(settings, folder / EMBEDDINGS, sources, held_back)
@@ -52,7 +53,7 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
             network.embedding.load_state_dict(embeddings.whole.state_dict())
             network.embedding.requires_grad_(False)
         module = NetworkModule(network, settings.learned, settings.fit, sources, held_back, embeddings)
-    trainer = fit(module, settings.trainer, folder, callbacks)
+    trainer = fit(module, settings.resolved, folder, callbacks)
     model = folder / MODEL
     if trainer.is_global_zero:
         about = record(command, module, trainer, settings.resolved)

@@ -25,6 +25,7 @@ from l2p.attacks.structure import NO_STRUCTURE, Structure
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.maps.appearance import NO_APPEARANCE, Appearance
+from l2p.maps.short_repr import short_repr
 from l2p.schemes.recognition import UNIFORM
 from l2p.work.work import Work
 
@@ -59,6 +60,8 @@ class Elements:
     attributes: Mapping[str, Any] = field(default_factory=dict)
     descriptor_kind: str | None = None
     structure: Structure = NO_STRUCTURE
+
+    __repr__ = short_repr
 
     @classmethod
     def sorted(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 import pkgutil
 import sys
 from collections.abc import Callable
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from l2p.attacks.attack import Attack
-from l2p.attacks.settings import ATTACKS, METHODS, owners_of
+from l2p.attacks.settings import ATTACKS, checked_settings
 from l2p.errors import InputError
 
 
@@ -31,18 +30,10 @@ def named_attack(name: str, **settings: Any) -> Attack:
     InputError
         If the name is unknown, the attack has no such setting, or a setting is out of range.
     """
-    given = {key: os.fspath(value) if isinstance(value, os.PathLike) else value for key, value in settings.items()}
-    given = {key: value for key, value in given.items() if value is not None}
+    given = checked_settings(name, settings)
     if ":" in name:
         return _users_own(name, given)
-    if name not in ATTACKS:
-        raise InputError(f"got method {name!r}; expected one of {', '.join(METHODS)}, or package.module:Attack")
     row = ATTACKS[name]
-    for key in given:
-        if key not in row.names:
-            owners = " or ".join(map(repr, owners_of(key)))
-            expected = f"it with method {owners} only" if owners else f"some of {', '.join(row.names)}"
-            raise InputError(f"got a {key.replace('_', ' ')} for method {name!r}; expected {expected}")
     return pkgutil.resolve_name(row.build)(row.settings(**given))
 
 

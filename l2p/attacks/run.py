@@ -17,15 +17,14 @@ from torch import Tensor
 from l2p.attacks.attack import Attack, Elements, Estimate, locate
 from l2p.attacks.by_scheme import by_own_attack, recover_own
 from l2p.attacks.named import named_attack
-from l2p.attacks.settings import DEFAULT_METHOD
+from l2p.attacks.settings import DEFAULT_METHOD, MethodName
 from l2p.attacks.structure import Structure
 from l2p.attacks.structured import expanded, frame_of, structure_of
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
+from l2p.io.given_map import GivenMap, given_map
 from l2p.maps.lines import LineCloud
-from l2p.maps.permuted import PermutedCloud
-from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
 from l2p.schemes.recognition import UNIFORM, recognise
 from l2p.version import __version__
@@ -36,8 +35,8 @@ from l2p.work.work import ALONE, Work
 
 
 def recover(
-    lines: LineCloud | PlaneCloud | PermutedCloud,
-    method: str | Attack = DEFAULT_METHOD,
+    lines: GivenMap,
+    method: MethodName | str | Attack = DEFAULT_METHOD,
     *,
     device: str = "cpu",
     memory: float | None = None,
@@ -48,9 +47,10 @@ def recover(
 
     Parameters
     ----------
-    lines : LineCloud, PlaneCloud or PermutedCloud
-        Planes, permuted points and sphere clouds (lines of scheme ``sphere``, ``sphere-50``, ...) have attacks of their
-        own (:mod:`l2p.attacks.by_scheme`), which are used if no method is named; they have no settings here.
+    lines : LineCloud, PlaneCloud, PermutedCloud or path
+        The map, or the path of its file. Planes, permuted points and sphere clouds (lines of scheme ``sphere``,
+        ``sphere-50``, ...) have attacks of their own (:mod:`l2p.attacks.by_scheme`), which are used if no method is
+        named; they have no settings here.
     method : str or Attack
         ``learned``: tomography, then rounds of a network that weighs the votes (:mod:`l2p.attacks.learned.learned`).
         ``tomography``: expectation maximisation on a sparse grid, then the votes around its modes
@@ -84,10 +84,10 @@ def recover(
     Raises
     ------
     FileNotFoundError
-        If there is no such checkpoint.
+        If there is no such file or checkpoint.
     InputError
-        If the line cloud is empty, the method or the device is unknown, the method has no such setting or it is out of
-        range, the checkpoint cannot be used, or the lines do not fit into the memory.
+        If it is no hidden map, the line cloud is empty, the method or the device is unknown, the method has no such
+        setting or it is out of range, the checkpoint cannot be used, or the lines do not fit into the memory.
 
     Examples
     --------
@@ -96,7 +96,7 @@ def recover(
     >>> l2p.recover(l2p.lift(points, seed=0), method="tomography").confidence.shape
     (200,)
     """
-    work = Work(progress=progress)
+    work, lines = Work(progress=progress), given_map(lines)
     if by_own_attack(lines, method, settings):
         return recover_own(lines, progress)
     lines = lines_of(lines)
@@ -285,8 +285,9 @@ def _received(shards: Shards, where: torch.device) -> tuple[Elements, str]:
     return Elements(Lines(direction, moment), row, frame, attributes, header["kind"], structure), header["scheme"]
 
 
-def usable_device(name: str) -> torch.device:
+def usable_device(name: str | torch.device) -> torch.device:
     """Return the torch device of this name; InputError if this machine does not have it."""
+    name = str(name)
     available = ["cpu"]
     if torch.cuda.is_available():
         available += ["cuda", *(f"cuda:{i}" for i in range(torch.cuda.device_count()))]

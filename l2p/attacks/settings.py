@@ -4,8 +4,13 @@ key of ``python -m eval`` and an entry of the record. Nothing here loads torch, 
 
 from __future__ import annotations
 
+import numbers
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+from l2p.errors import InputError
 
 #: Kinds of scenes in the heuristic's table of neighbours.
 SCENE_KINDS = ("indoor", "outdoor")
@@ -76,7 +81,51 @@ ATTACKS = {
     "published": Row(PublishedSettings, "l2p.attacks.published:build"),
 }
 METHODS = tuple(ATTACKS)
+#: Their names as a type, for completion in editors; a user's own attack is ``package.module:Attack``.
+MethodName: TypeAlias = Literal["learned", "tomography", "heuristic", "published"]
 DEFAULT_METHOD = "learned"
+
+
+def checked_settings(name: object, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of an attack that are not None, of its own types; those of a user's own attack as they are.
+
+    Raises
+    ------
+    InputError
+        If ``name`` is no known attack, or the attack has no such setting, or it is of another type.
+    """
+    if not isinstance(name, str):
+        raise InputError(
+            f"got method {name!r}; expected a name ({', '.join(METHODS)}), package.module:Attack, or an Attack"
+        )
+    values = {key: os.fspath(value) if isinstance(value, os.PathLike) else value for key, value in given.items()}
+    values = {key: value for key, value in values.items() if value is not None}
+    if ":" in name:
+        return values
+    if name not in ATTACKS:
+        raise InputError(f"got method {name!r}; expected one of {', '.join(METHODS)}, or package.module:Attack")
+    for key, value in values.items():
+        if key not in ATTACKS[name].names:
+            owners = " or ".join(map(repr, owners_of(key)))
+            expected = f"it with method {owners} only" if owners else f"some of {', '.join(ATTACKS[name].names)}"
+            raise InputError(f"got a {key.replace('_', ' ')} for method {name!r}; expected {expected}")
+        values[key] = _typed(name, key, value)
+    return values
+
+
+def _typed(name: str, key: str, value: Any) -> Any:
+    """A value as the plain type of its setting; numbers may be NumPy's."""
+    entry = next(entry for entry in fields(ATTACKS[name].settings) if entry.name == key)
+    kind = str(entry.type).removesuffix(" | None")
+    if kind == "str" and isinstance(value, str):
+        return value
+    # NumPy's numbers register as these.
+    if kind == "int" and isinstance(value, numbers.Integral) and not isinstance(value, bool):
+        return int(value)
+    if kind == "float" and isinstance(value, numbers.Real) and not isinstance(value, bool):
+        return float(value)
+    expected = {"str": "a text", "int": "a whole number", "float": "a number"}[kind]
+    raise InputError(f"got {key.replace('_', ' ')} {value!r} for method {name!r}; expected {expected}")
 
 
 def owners_of(name: str) -> list[str]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from os import PathLike
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,12 +22,14 @@ from l2p.attacks.attack import Attack
 from l2p.attacks.learned.learned import spacing_ratio
 from l2p.attacks.meetings import Meetings, meetings
 from l2p.attacks.named import named_attack
-from l2p.attacks.run import recover
-from l2p.attacks.settings import DEFAULT_METHOD, owners_of
+from l2p.attacks.run import lines_of, recover
+from l2p.attacks.settings import DEFAULT_METHOD, MethodName, owners_of
+from l2p.checks import named
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.geometry.points import nearest_neighbors
+from l2p.io.given_map import given_map
 from l2p.maps.appearance import ATTRIBUTES
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
@@ -44,8 +47,8 @@ _BLOCK = 1 << 22
 
 
 def recover_releases(
-    releases: Sequence[LineCloud],
-    method: str | Attack = DEFAULT_METHOD,
+    releases: Sequence[LineCloud | str | PathLike[str]],
+    method: MethodName | str | Attack = DEFAULT_METHOD,
     *,
     device: str = "cpu",
     memory: float | None = None,
@@ -60,7 +63,7 @@ def recover_releases(
 
     Parameters
     ----------
-    releases : sequence of LineCloud
+    releases : sequence of LineCloud or path
         Two or more, in one coordinate frame. Attributes that all of them have are used.
     method, device, memory, progress, **settings
         As of :func:`l2p.recover`. ``fraction`` is that of the map's points in the first release. The search of meetings
@@ -88,8 +91,9 @@ def recover_releases(
     (300, True)
     """
     began = time.perf_counter()
-    _check(releases)
-    common = _common(releases)
+    clouds = _clouds(releases)
+    _check(clouds)
+    common = _common(clouds)
     frame = Frame.of(_together(common))
     first, *others = (entered(frame, lines) for lines in common)
     pairs = [
@@ -114,18 +118,25 @@ def recover_releases(
     beta = np.where(met, ahead + frame.unit * beta, alone.beta[:count])
     info = {
         **alone.info,
-        "releases": [len(lines) for lines in releases],
+        "releases": [len(lines) for lines in clouds],
         "met": int(np.sum(met & (probability >= 0.5))),
         "seconds": time.perf_counter() - began,
     }
     return Recovery(
-        xyz=releases[0].at(beta),
+        xyz=clouds[0].at(beta),
         confidence=probability.astype(np.float32),
         beta=beta,
-        rgb=releases[0].rgb,
+        rgb=clouds[0].rgb,
         info=info,
         calibrated=alone.calibrated,
     )
+
+
+def _clouds(releases: object) -> list[LineCloud]:
+    """The line clouds that are given, or read from their files."""
+    if isinstance(releases, str) or not isinstance(releases, Sequence):
+        raise InputError(f"got {named(releases)}; expected a list of two or more line clouds, or of their files")
+    return [lines_of(given_map(each)) for each in releases]
 
 
 def _check(releases: Sequence[LineCloud]) -> None:

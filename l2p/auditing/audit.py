@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from l2p.attacks.named import named_attack
-from l2p.attacks.settings import DEFAULT_METHOD
+from l2p.attacks.settings import DEFAULT_METHOD, MethodName
 from l2p.auditing import FRACTIONS
 from l2p.auditing.attackers import Attacker, attackers_of
 from l2p.auditing.attacking import estimated_spacing, lifted_trials, line_trials, recovered
@@ -28,19 +28,22 @@ from l2p.auditing.published_again import MOST_RELEASES, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
 from l2p.auditing.seen import Seen
 from l2p.auditing.trial import Trial
-from l2p.checks import check_fraction
+from l2p.checks import check_fraction, check_seed, named
 from l2p.errors import InputError
+from l2p.io.given import GivenScene, given_scene
 from l2p.judging.accuracy import spacing
 from l2p.judging.curves import SHARES, THRESHOLDS
 from l2p.judging.provenance import machine, versions
+from l2p.maps import AttributeName
 from l2p.maps.appearance import ATTRIBUTES
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.maps.region import kept_rows
 from l2p.maps.scene import Scene
+from l2p.maps.short_repr import short_repr
 from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
-from l2p.schemes.scheme import scheme_of
+from l2p.schemes.scheme import SchemeName, scheme_of
 from l2p.utility.localization import Localization
 from l2p.utility.queries import Queries
 from l2p.utility.releases import LocalizeConfig, localize_hidden
@@ -110,6 +113,8 @@ class Audit:
     others: OtherSchemes | None = None
     again: PublishedAgain | None = None
     pictures: tuple[Seen, ...] = ()
+
+    __repr__ = short_repr
 
     @property
     def scheme(self) -> str:
@@ -187,15 +192,15 @@ class Audit:
 
 
 def audit(
-    scene: Scene | LineCloud | Float[np.ndarray, "points 3"],
-    fractions: Sequence[float] | None = None,
+    scene: GivenScene,
+    fractions: Sequence[float] | float | None = None,
     seed: int = 0,
     *,
-    method: str = DEFAULT_METHOD,
-    ignore: Collection[str] = (),
+    method: MethodName | str = DEFAULT_METHOD,
+    ignore: Collection[AttributeName | str] = (),
     drop: Bool[np.ndarray, " points"] | None = None,
     region: Bool[np.ndarray, " points"] | None = None,
-    schemes: Sequence[str] = (),
+    schemes: Sequence[SchemeName | str] = (),
     releases: int = 1,
     metric: bool = False,
     device: str = "cpu",
@@ -213,9 +218,9 @@ def audit(
 
     Parameters
     ----------
-    scene : Scene, (points, 3) array or LineCloud
-        A scene or its points are lifted, attacked and scored. A line cloud is attacked as it is. Its colours and
-        descriptors are taken as published.
+    scene : Scene, (points, 3) array, LineCloud or path
+        The map, or the path of its file. A scene or its points are lifted, attacked and scored. A line cloud is
+        attacked as it is. Its colours and descriptors are taken as published.
     fractions : sequence of float, optional
         Fractions of the points to lift, in (0, 1]; default :data:`FRACTIONS`. Not with a line cloud.
     seed : int
@@ -255,10 +260,11 @@ def audit(
     Raises
     ------
     FileNotFoundError
-        If the checkpoint does not exist.
+        If the file or the checkpoint does not exist.
     InputError
-        If a fraction is out of range, an attribute is unknown, none or all of the points are dropped, fractions or
-        points to drop are given with a line cloud, the points have no extent, or as for :func:`l2p.recover`.
+        If it is no map, a fraction is out of range, an attribute is unknown, none or all of the points are dropped,
+        fractions or points to drop are given with a line cloud, the points have no extent, or as for
+        :func:`l2p.recover`.
 
     Examples
     --------
@@ -267,6 +273,13 @@ def audit(
     >>> [len(trial) for trial in found.trials]
     [200, 100]
     """
+    scene = given_scene(scene)
+    check_seed(seed)
+    # One name, or one number, where several may be given.
+    ignore = (ignore,) if isinstance(ignore, str) else ignore
+    schemes = (schemes,) if isinstance(schemes, str) else schemes
+    fractions = [fractions] if isinstance(fractions, int | float) else fractions
+    drop, region = (None if each is None else np.asarray(each) for each in (drop, region))
     if isinstance(scene, LineCloud) and (fractions is not None or queries is not None):
         what = "queries" if fractions is None else "fractions"
         raise InputError(f"got {what} for a line cloud; expected none, since it is attacked as it is")
@@ -282,9 +295,8 @@ def audit(
         raise InputError("got schemes for a line cloud; expected them with a scene, which each of them can hide")
     for scheme in schemes:
         scheme_of(scheme)
-    if not 1 <= releases <= MOST_RELEASES:
-        raise InputError(f"got {releases} releases; expected 1 to {MOST_RELEASES}")
-    scene = scene if isinstance(scene, LineCloud | Scene) else Scene(scene)
+    if not isinstance(releases, int) or not 1 <= releases <= MOST_RELEASES:
+        raise InputError(f"got {named(releases)} releases; expected 1 to {MOST_RELEASES}")
     published = scene.appearance.without(ignore)
     attackers = attackers_of(named_attack(method, **settings), published)
     ignored = tuple(attribute for attribute in ATTRIBUTES if attribute in ignore)

@@ -13,6 +13,7 @@ from l2p.judging.accuracy import compare
 from l2p.judging.measure import measured
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
+from l2p.maps.short_repr import short_repr
 from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
 from l2p.utility.releases import localizes
@@ -68,6 +69,8 @@ class OtherSchemes:
 
     trials: tuple[SchemeTrial, ...]
     hidden: dict[tuple[str, float], Hiding]
+
+    __repr__ = short_repr
 
     @classmethod
     def of(

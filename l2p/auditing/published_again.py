@@ -12,6 +12,7 @@ from l2p.judging.accuracy import errors
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
+from l2p.maps.short_repr import short_repr
 from l2p.schemes.hide import hide
 
 #: Most releases of an audit.
@@ -52,6 +53,8 @@ class PublishedAgain:
 
     releases: int
     trials: tuple[AgainTrial, ...]
+
+    __repr__ = short_repr
 
     @classmethod
     def of(

@@ -11,6 +11,7 @@ from jaxtyping import Bool
 
 from l2p.auditing.trial import Trial
 from l2p.judging.accuracy import errors
+from l2p.maps.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class AskedRegion:
 
     points: int
     trials: tuple[InRegion, ...]
+
+    __repr__ = short_repr
 
     @classmethod
     def of(cls, region: Bool[np.ndarray, " points"], trials: Sequence[Trial], spacing: float) -> AskedRegion:

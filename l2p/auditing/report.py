@@ -9,6 +9,7 @@ from itertools import groupby
 from os import PathLike
 from typing import Any
 
+from l2p.auditing import FIGURES, FILES, PAGE
 from l2p.auditing.attackers import named, others, seen_by
 from l2p.auditing.audit import Audit
 from l2p.auditing.charts import charts
@@ -30,8 +31,6 @@ from l2p.show.page import MOST_POINTS
 from l2p.show.page.numbers import count, fraction, length, percent
 from l2p.show.page.render import render
 
-#: Files of the folder.
-PAGE, FIGURES = FILES = ("index.html", "audit.json")
 #: Printing function of each kind of figure, for the page.
 _FORMS: dict[Form, Callable[[Any], str]] = {
     Form.COUNT: count,

@@ -13,6 +13,7 @@ from l2p.judging.curves import Curves
 from l2p.judging.scores import Scores
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
+from l2p.maps.short_repr import short_repr
 from l2p.maps.truth import Truth
 
 
@@ -74,6 +75,8 @@ class Trial:
     scores: Scores | None
     prediction: Prediction | None
     curves: Curves
+
+    __repr__ = short_repr
 
     @property
     def seconds(self) -> float:

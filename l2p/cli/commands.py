@@ -7,17 +7,18 @@ import shlex
 import tempfile
 import webbrowser
 from argparse import Namespace
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from l2p.auditing import FILES, PAGE
+from l2p.checks import check_fraction
 from l2p.cli.chosen import asks_for_points, chosen, dropped, point_words
 from l2p.cli.flags import POINT_FLAGS, settings_of
 from l2p.cli.lift import described_scene, printable
 from l2p.cli.lift import lift as lift
 from l2p.cli.localize import localize as localize
-from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
+from l2p.cli.outputs import check_attack, check_outputs, figures_file, file_of, set_threads
 from l2p.cli.picture_command import picture as picture
 from l2p.cli.recover import recover as recover
 from l2p.errors import InputError, sentence
@@ -57,16 +58,16 @@ def evaluate(arguments: Namespace) -> None:
 
 def audit(arguments: Namespace) -> None:
     """Run ``l2p audit``."""
+    _check_report(arguments)
     from l2p.auditing.audit import audit as examine
     from l2p.auditing.decision import decide, parsed_goal
-    from l2p.auditing.report import FILES, PAGE, ReleaseInputs, figures_of, save_report
+    from l2p.auditing.report import ReleaseInputs, figures_of, save_report
     from l2p.auditing.seen import pictures_of
     from l2p.auditing.tradeoff import decision_sentences, option_table
     from l2p.auditing.words import sentences
     from l2p.utility.localization import checked_limits
     from l2p.utility.releases import LocalizeConfig
 
-    _check_report(arguments, FILES)
     goal = parsed_goal(arguments.localize, arguments.recovered)
     if goal is not None:
         checked_limits([goal.limit], arguments.metric)
@@ -229,18 +230,21 @@ def demo(arguments: Namespace) -> None:
     )
 
 
-def _check_report(arguments: Namespace, files: Iterable[str]) -> None:
-    """Refuse wrong arguments of an audit before the scene is read."""
+def _check_report(arguments: Namespace) -> None:
+    """Refuse wrong arguments of an audit before torch is loaded and the scene is read."""
     given = (arguments.scene, arguments.checkpoint, arguments.descriptors or None)
     given += (arguments.drop_ids, arguments.drop_masks, arguments.region_ids, arguments.region_masks)
     inputs = [path for path in given if path is not None]
     check_outputs(inputs, [file_of(arguments.json)], arguments.force)
-    check_folder(arguments.output, overwrite=arguments.force, replaceable=frozenset(files))
+    check_folder(arguments.output, overwrite=arguments.force, replaceable=frozenset(FILES))
     report = Path(os.path.realpath(arguments.output))
     for path in (*inputs, file_of(arguments.json)):
         if path is not None and Path(os.path.realpath(path)).is_relative_to(report):
             raise InputError(f"{path} is in {arguments.output}; expected a report folder with nothing else in it")
-    check_threads(arguments.threads)
+    kind_of(arguments.scene)  # which refuses what is missing or of no kind
+    check_attack(arguments)
+    for share in arguments.fractions or ():
+        check_fraction(share)
     if arguments.max_view_points < 1:
         raise InputError(f"got --max-view-points {arguments.max_view_points}; expected at least 1")
 

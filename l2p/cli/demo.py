@@ -6,7 +6,6 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
-from l2p.attacks.run import recover
 from l2p.io.atomic import atomic_folder
 from l2p.io.line_files import save_lines
 from l2p.io.recovery_files import save_recovery
@@ -57,6 +56,8 @@ def run(
     """
     with atomic_folder(folder, overwrite=overwrite, replaceable=frozenset(FILES)) as place:
         simulate_model("room", points, seed).save_colmap(place / MODEL)
+        from l2p.attacks.run import recover  # loads torch, for which a wrong folder or number need not wait
+
         # Read back from its files, like a user's map.
         scene = load_scene(place / MODEL)
         save_scene(scene, place / MAP)

@@ -9,16 +9,18 @@ from l2p.cli.lift import printable
 from l2p.cli.outputs import check_outputs, figures_file, file_of
 from l2p.io.atomic import atomic_file
 from l2p.io.csv_rows import csv_bytes
+from l2p.io.kinds import kind_of
 from l2p.show.tables import print_localization
 from l2p.work.progress import terminal_progress
 
 
 def localize(arguments: Namespace) -> None:
     """Run ``l2p localize``."""
-    from l2p.utility.releases import localize as localized
-
     inputs = [path for path in (arguments.scene, arguments.features) if path is not None]
     check_outputs(inputs, [file_of(arguments.json), arguments.csv], arguments.force)
+    kind_of(arguments.scene)  # which refuses what is missing or of no kind, before torch is loaded
+    from l2p.utility.releases import localize as localized
+
     found = localized(
         arguments.scene,
         arguments.schemes,

@@ -17,7 +17,8 @@ def add_localization(localize: argparse.ArgumentParser) -> None:
         nargs="+",
         choices=(POINTS, *SCHEMES),
         default=(POINTS, DEFAULT_SCHEME),
-        help="ways to publish: points as they are, or hidden by a scheme (default: points and "
+        metavar="NAME",
+        help=f"ways to publish: {POINTS}, as they are, or hidden by a scheme of l2p lift (default: {POINTS} and "
         f"{DEFAULT_SCHEME}); the points are the same for all",
     )
     localize.add_argument(

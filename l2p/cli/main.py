@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import sys
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import Any
 
 from l2p.auditing import FRACTIONS
+from l2p.cli.completion import SHELLS, completion_script
 from l2p.cli.flags import add_method, add_points
+from l2p.cli.help_words import ending
 from l2p.cli.localize_flags import add_decision, add_localization
+from l2p.cli.parser import USER_ERROR, Parser, complain
 from l2p.cli.picture_flags import add_picture, add_views
 from l2p.cli.scheme_flags import add_scheme, scheme_table
 from l2p.errors import InputError, LostProcessError, sentence
@@ -22,14 +24,21 @@ from l2p.show.page import MOST_POINTS
 from l2p.version import __version__
 from l2p.work.memory import SHARE
 
-#: Exit codes: a rank died, the user's error, and Ctrl-C (128 + SIGINT).
-LOST, USER_ERROR, INTERRUPTED = 1, 2, 130
+#: Exit codes: a rank died, and Ctrl-C (128 + SIGINT).
+LOST, INTERRUPTED = 1, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 1 if a rank died, 2 for a user's error, 130 after Ctrl-C."""
-    arguments = _parser().parse_args(argv)
-    arguments.words = sys.argv[1:] if argv is None else list(argv)
+    parser, words = _parser(), sys.argv[1:] if argv is None else list(argv)
+    if not words:
+        parser.print_help()
+        return 0
+    arguments = parser.parse_args(words)
+    arguments.words = words
+    if arguments.command == "completion":
+        print(completion_script(parser, arguments.shell), end="")
+        return 0
     # Waiting threads should sleep: on a busy machine, spinning threads take several times as long.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     # Silence torch's stack trace when a rank dies.
@@ -39,10 +48,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         getattr(commands, arguments.command)(arguments)
     except (InputError, OSError) as error:
-        _complain(sentence(error))
+        complain(sentence(error))
         return USER_ERROR
     except LostProcessError as error:
-        _complain(sentence(error))
+        complain(sentence(error))
         return LOST
     except KeyboardInterrupt:
         print(f"l2p: interrupted; {_left(arguments)}", file=sys.stderr)
@@ -60,25 +69,12 @@ def _left(arguments: argparse.Namespace) -> str:
     return "nothing was written"
 
 
-class _Parser(argparse.ArgumentParser):
-    """Parser that reports an error in one line, without the usage, and takes -1e-3 and -inf for numbers."""
-
-    def __init__(self, *words: Any, **names: Any) -> None:
-        super().__init__(*words, **names)
-        # argparse's own, until Python 3.14, takes what has an exponent for an option.
-        self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$|-inf$", re.IGNORECASE)
-
-    def error(self, message: str) -> NoReturn:
-        _complain(f"{message} (see {self.prog} --help)")
-        raise SystemExit(USER_ERROR)
-
-
-def _complain(said: str) -> None:
-    print("l2p: error:", " ".join(said.split()), file=sys.stderr)
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="l2p", description="Lift points to lines, and recover the points behind a line cloud.")
+    parser = Parser(
+        prog="l2p",
+        description="Lift points to lines, and recover the points behind a line cloud.",
+        epilog="l2p COMMAND --help explains a command, with an example.\nA first look: l2p demo -o demo",
+    )
     parser.add_argument("--version", action="version", version=f"l2p {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for add in (
@@ -93,16 +89,20 @@ def _parser() -> argparse.ArgumentParser:
         _add_demo,
     ):
         add(commands)
+    completion = _command(commands, "completion", "print a script that completes the words of l2p in a shell")
+    completion.add_argument("shell", choices=SHELLS, help="bash or zsh")
     return parser
 
 
-def _command(commands: Any, name: str, what: str) -> argparse.ArgumentParser:
-    return commands.add_parser(name, help=what, description=what[0].upper() + what[1:] + ".")
+def _command(commands: Any, name: str, what: str) -> Parser:
+    command = commands.add_parser(name, help=what, description=what[0].upper() + what[1:] + ".")
+    # Its address takes a look at the installed packages, which only a reader of the help should wait for.
+    command.ending = lambda: ending(name)
+    return command
 
 
 def _add_lift(commands: Any) -> None:
     lift = _command(commands, "lift", "hide the points of a scene, by lines through them or by another scheme")
-    lift.formatter_class = argparse.RawDescriptionHelpFormatter
     lift.epilog = scheme_table()
     lift.add_argument("scene", metavar="SCENE", help="COLMAP model folder (bin or txt), PLY, or npz with xyz")
     lift.add_argument(
@@ -156,7 +156,8 @@ def _add_recover(commands: Any) -> None:
         dest="output",
         metavar="OUT",
         required=True,
-        help="OUT.npz (every line, in order), OUT.ply (with confidence), or a folder for a COLMAP model",
+        help="OUT.npz (every line, in order), OUT.ply, OUT.txt, OUT.csv (with confidence), OUT.xyz, or a folder for a "
+        "COLMAP model",
     )
     add_method(recover)
     recover.add_argument(
@@ -167,6 +168,11 @@ def _add_recover(commands: Any) -> None:
     )
     _add_ignore(recover, "of the file")
     _add_filters(recover)
+    recover.add_argument(
+        "--double",
+        action="store_true",
+        help="write coordinates of a PLY with 64 bits (default: with 32, unless these would lose digits)",
+    )
     recover.add_argument("--model", metavar="MODEL", help="for a COLMAP model: the model that was lifted")
     recover.add_argument(
         "--truth", metavar="TRUTH.npz", help="for a COLMAP model: which line is which point id (nothing else is used)"

@@ -9,8 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from l2p.attacks.settings import checked_settings
+from l2p.checks import check_fraction
+from l2p.cli.flags import settings_of
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file, check_file
+from l2p.work.launched import MOST_THREADS
 
 
 def check_outputs(inputs: list[str], outputs: list[str | None], force: bool) -> None:
@@ -23,6 +27,13 @@ def check_outputs(inputs: list[str], outputs: list[str | None], force: bool) -> 
             raise InputError(f"got {path} twice; expected every output to be a file of its own")
         taken.add(os.path.realpath(path))
         check_file(path, overwrite=force)
+
+
+def check_inputs(*paths: str | None, expected: str = "") -> None:
+    """Refuse, before any work, files and folders that are not there; ``expected`` says what should be."""
+    for path in paths:
+        if path and not os.path.lexists(path):
+            raise FileNotFoundError(f"{path} does not exist" + (f"; expected {expected}" if expected else ""))
 
 
 def file_of(json_path: str | None) -> str | None:
@@ -43,11 +54,18 @@ def figures_file(arguments: Namespace, figures: dict[str, Any]) -> Iterator[None
         yield
 
 
+def check_attack(arguments: Namespace) -> None:
+    """Refuse, before torch is loaded, an attack or settings that cannot be, and a checkpoint that is not there."""
+    checked_settings(arguments.method, settings_of(arguments))
+    if getattr(arguments, "fraction", None) is not None:
+        check_fraction(arguments.fraction)
+    check_inputs(arguments.checkpoint, expected="a checkpoint file, *.safetensors")
+    check_threads(arguments.threads)
+
+
 def check_threads(threads: int | None) -> None:
     if threads is None:
         return
-    from l2p.work.threads import MOST_THREADS
-
     if not 1 <= threads <= MOST_THREADS:
         raise InputError(f"got --threads {threads}; expected at least 1, at most {MOST_THREADS}")
 

@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Int
 
+from l2p.cli.expectation import expectation, expected_within, map_spacing
 from l2p.cli.flags import settings_of
-from l2p.cli.outputs import check_outputs, check_threads, figures_file, file_of, set_threads
+from l2p.cli.outputs import check_attack, check_inputs, check_outputs, figures_file, file_of, set_threads
 from l2p.errors import InputError
 from l2p.io.colmap import check_ids, check_model_output, save_recovered_model
 from l2p.io.hidden_files import load_hidden
+from l2p.io.kinds import HIDDEN_MAPS, kind_of
 from l2p.io.open3d import load_open3d
-from l2p.io.recovery_files import save_recovery
+from l2p.io.recovery_files import ENDINGS, save_recovery
 from l2p.io.scene_files import load_truth
 from l2p.io.state_files import StateFile, state_path
 from l2p.judging.clean import inliers
@@ -30,6 +32,7 @@ from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
 from l2p.schemes.recognition import NOT_STATED
 from l2p.schemes.scheme import published_by
+from l2p.work.launched import among_others
 from l2p.work.progress import terminal_progress
 
 if TYPE_CHECKING:
@@ -42,11 +45,13 @@ MOST_PROCESSES = 1024
 
 def recover(arguments: Namespace) -> None:
     """Run ``l2p recover`` alone, on ranks that are started here, or as one of the ranks of an external launcher."""
-    from l2p.work.processes import among_others, joined, launch
-
     _check_several(arguments, started_elsewhere=among_others())
-    if arguments.processes not in (None, 1) and not among_others():
+    if not among_others():
+        # What takes no work to see is refused before torch is loaded.
         _check_recover(arguments)
+    from l2p.work.processes import joined, launch
+
+    if arguments.processes not in (None, 1) and not among_others():
         code = launch(arguments.words, arguments.processes)
         if code:
             raise SystemExit(code)
@@ -136,19 +141,24 @@ def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments:
     """Write the recovery, filtered, and its figures."""
     recovery = _filtered(recovery, arguments.min_confidence, arguments.clean)
     kept = len(recovery) if recovery.kept is None else int(recovery.kept.sum())
+    scale = map_spacing(recovery) if recovery.calibrated else None
     stats = {
         "lines": len(recovery),
         "kept": kept,
         "median_confidence": float(np.median(recovery.confidence)) if recovery.calibrated else None,
+        "expected_within": expected_within(recovery),
+        "spacing": scale,
         **recovery.info,
     }
     with figures_file(arguments, stats):
         _save(recovery, ids, arguments)
     if arguments.json != "-":
-        print(f"{arguments.output}: {kept} of {len(recovery)} points, {recovery.info['seconds']:.1f} s")
+        some = "" if recovery.kept is None else f"{kept:,} kept of "
+        print(f"{arguments.output}: {some}{len(recovery):,} points, {recovery.info['seconds']:.1f} s")
         if "met" in recovery.info:
             other = "the other release" if len(recovery.info["releases"]) == 2 else "another release"
             print(f"{recovery.info['met']:,} of {len(recovery):,} lines meet a line of {other} in their point")
+        print(expectation(recovery, scale))
 
 
 def _check_several(arguments: Namespace, started_elsewhere: bool) -> None:
@@ -175,9 +185,13 @@ def _check_recover(arguments: Namespace) -> None:
     StateFile(arguments.output, resume=arguments.resume, overwrite=arguments.force)
     if arguments.min_confidence is not None and not 0 <= arguments.min_confidence <= 1:
         raise InputError(f"got --min-confidence {arguments.min_confidence}; expected a number in [0, 1]")
-    check_threads(arguments.threads)
     if arguments.processes is not None and not 1 <= arguments.processes <= MOST_PROCESSES:
         raise InputError(f"got --processes {arguments.processes}; expected at least 1, at most {MOST_PROCESSES}")
+    check_attack(arguments)
+    for path in arguments.lines:
+        if kind_of(path) not in HIDDEN_MAPS:
+            load_hidden(path)  # which refuses it in its own words
+    check_inputs(arguments.model, arguments.truth)
     if arguments.clean:
         load_open3d()
 
@@ -187,13 +201,14 @@ def _model_output(arguments: Namespace) -> bool:
     ending = Path(arguments.output).suffix.lower()
     both = arguments.model is not None and arguments.truth is not None
     neither = arguments.model is None and arguments.truth is None
-    if ending in (".npz", ".ply"):
+    if ending in ENDINGS:
         if not neither:
             raise InputError(f"got --model or --truth with {arguments.output}; expected a folder, for a COLMAP model")
         return False
     if not both:
         raise InputError(
-            f"got -o {arguments.output}; expected .npz, .ply, or a folder together with --model MODEL --truth TRUTH.npz"
+            f"got -o {arguments.output}; expected {', '.join(ENDINGS)}, or a folder together with --model MODEL "
+            "--truth TRUTH.npz"
         )
     return True
 
@@ -251,7 +266,7 @@ def _filtered(recovery: Recovery, min_confidence: float | None, clean: bool) -> 
 
 def _save(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments: Namespace) -> None:
     if ids is None:
-        save_recovery(recovery, arguments.output, overwrite=arguments.force)
+        save_recovery(recovery, arguments.output, overwrite=arguments.force, double=arguments.double or None)
         return
     kept = slice(None) if recovery.kept is None else recovery.kept
     save_recovered_model(arguments.model, ids[kept], recovery.xyz[kept], arguments.output, overwrite=arguments.force)

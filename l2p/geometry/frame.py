@@ -22,6 +22,7 @@ from torch import Tensor
 
 from l2p.geometry.elements import Lines
 from l2p.maps.lines import LineCloud
+from l2p.maps.short_repr import short_repr
 
 #: Binary digits after the point that rounding leaves to directions and to feet in frame units (fewer to feet beyond 1
 #: unit): 2^-22 of the unit is far below any spacing.
@@ -49,6 +50,8 @@ class Frame:
     center: Float[np.ndarray, "3"]
     unit: float
     axes: Float[np.ndarray, "3 3"]
+
+    __repr__ = short_repr
 
     @classmethod
     def of(cls, cloud: LineCloud) -> Frame:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from os import PathLike
 from typing import Any, TypeVar, overload
 
+from l2p.checks import named
 from l2p.errors import InputError
 from l2p.io.descriptors import load_described
 from l2p.io.hidden_files import load_hidden, load_permuted, load_planes, save_hidden
@@ -81,6 +82,8 @@ def load(
         return load_described(path, None if descriptors is True else descriptors)[0]
     if expected is not None:
         return _LOADERS[expected](path)
+    if not isinstance(path, str | PathLike):
+        raise InputError(f"got {named(path)}; expected the path of a file or folder")
     kind = kind_of(path)
     if kind is Kind.CHECKPOINT:
         raise InputError(f"{path} is {kind.value}; give it to l2p.recover(lines, checkpoint=...)")

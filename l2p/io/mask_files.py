@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from l2p.errors import InputError
 from l2p.io.track_means import observations
+from l2p.maps.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,8 @@ class Masked:
     points: Bool[np.ndarray, " points"]
     images: int
     masks: int
+
+    __repr__ = short_repr
 
 
 def marked_by_masks(folder: str | PathLike[str], model: Any, ids: Int[np.ndarray, " points"]) -> Masked:

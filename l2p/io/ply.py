@@ -13,6 +13,8 @@ from jaxtyping import UInt8
 from l2p.errors import InputError
 
 _RGB = ("red", "green", "blue")
+#: Largest step of a coordinate in single precision, over the size of the cloud: far below the distances of its points.
+_LOST = 1e-6
 
 
 def ply_elements(path: str | PathLike[str]) -> dict[str, np.ndarray]:
@@ -87,9 +89,16 @@ def ply_bytes(elements: dict[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def point_records(xyz: np.ndarray, rgb: np.ndarray | None, confidence: np.ndarray | None = None) -> np.ndarray:
-    """The vertex element of a point cloud: float64 x, y, z; uint8 colours and float32 confidence if given."""
-    columns = {name: ("<f8", xyz[:, axis]) for axis, name in enumerate("xyz")}
+def point_records(
+    xyz: np.ndarray, rgb: np.ndarray | None, confidence: np.ndarray | None = None, double: bool | None = None
+) -> np.ndarray:
+    """The vertex element of a point cloud: x, y, z; uint8 colours and float32 confidence if given.
+
+    Coordinates have 32 bits, which every reader knows (PCL finds no others), or 64 if these would lose digits
+    (:func:`loses_digits`) or ``double`` is True.
+    """
+    kind = "<f8" if (loses_digits(xyz) if double is None else double) else "<f4"
+    columns = {name: (kind, xyz[:, axis]) for axis, name in enumerate("xyz")}
     if rgb is not None:
         columns |= {name: ("u1", rgb[:, channel]) for channel, name in enumerate(_RGB)}
     if confidence is not None:
@@ -98,3 +107,19 @@ def point_records(xyz: np.ndarray, rgb: np.ndarray | None, confidence: np.ndarra
     for name, (_, values) in columns.items():
         records[name] = values
     return records
+
+
+def loses_digits(xyz: np.ndarray) -> bool:
+    """Whether single precision moves points by more than a millionth of the size of the cloud, as in coordinates of a
+    country.
+
+    >>> cloud = np.array([[0.0, 0, 0], [100, 80, 9]])
+    >>> loses_digits(cloud), loses_digits(cloud + [500_000, 5_400_000, 0])
+    (False, True)
+    """
+    if not len(xyz):
+        return False
+    # Without the farthest points, which would pass for a large cloud.
+    low, high = np.quantile(xyz, (0.05, 0.95), axis=0)
+    step = np.spacing(np.abs(xyz).max(axis=0).astype(np.float32))
+    return bool(step.max() > _LOST * (high - low).max())

@@ -1,4 +1,4 @@
-"""Files of recoveries: npz in the order of the lines, PLY with colour and confidence for viewers."""
+"""Files of recoveries: npz in the order of the lines, PLY and text with colour and confidence for others."""
 
 from __future__ import annotations
 
@@ -16,11 +16,16 @@ from l2p.io.endings import checked_ending
 from l2p.io.kinds import Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, point_records
+from l2p.io.point_text import ENDINGS as TEXT
+from l2p.io.point_text import text_bytes
 from l2p.maps.recovery import Recovery
 
 #: Version of written npz recoveries; older ones stay readable. Version 1 did not record whether the confidence is
 #: calibrated: it is for the learned attack.
 RECOVERY_VERSION = 2
+
+#: Endings of the files of a recovery.
+ENDINGS = (".npz", ".ply", *TEXT)
 
 #: Entries of ``Recovery.info`` that differ from run to run: written to ``--json`` but not to the file, so that the
 #: same lines, seed and threads give the same bytes.
@@ -44,12 +49,16 @@ _NAMES = (
 )
 
 
-def save_recovery(recovery: Recovery, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a recovery as npz (every line, in order) or PLY (the kept points), by the ending of ``path``."""
-    writers = {".npz": _npz_bytes, ".ply": _ply_bytes}
-    ending = checked_ending(path, "a recovery", dict.fromkeys(writers, ()))
+def save_recovery(
+    recovery: Recovery, path: str | PathLike[str], *, overwrite: bool = False, double: bool | None = None
+) -> None:
+    """Write a recovery by the ending of ``path``: npz (every line, in order), PLY or text (the kept points).
+
+    Coordinates of a PLY have 32 bits, or 64 if these would lose digits; ``double`` decides otherwise.
+    """
+    ending = checked_ending(path, "a recovery", dict.fromkeys(ENDINGS, ()))
     with atomic_file(path, overwrite=overwrite) as file:
-        file.write(writers[ending](recovery))
+        file.write(_npz_bytes(recovery) if ending == ".npz" else _point_bytes(recovery, ending, double))
 
 
 def load_recovery(path: str | PathLike[str]) -> Recovery:
@@ -116,11 +125,15 @@ def _npz_bytes(recovery: Recovery) -> bytes:
     )
 
 
-def _ply_bytes(recovery: Recovery) -> bytes:
+def _point_bytes(recovery: Recovery, ending: str, double: bool | None) -> bytes:
+    """Kept points as PLY or text; those without colours are coloured by confidence in a PLY, for viewers."""
     kept = slice(None) if recovery.kept is None else recovery.kept
-    confidence = recovery.confidence[kept]
-    rgb = confidence_colours(confidence) if recovery.rgb is None else recovery.rgb[kept]
-    return ply_bytes({"vertex": point_records(recovery.xyz[kept], rgb, confidence)})
+    xyz, confidence = recovery.xyz[kept], recovery.confidence[kept]
+    rgb = None if recovery.rgb is None else recovery.rgb[kept]
+    if ending in TEXT:
+        return text_bytes(ending, xyz, rgb, confidence)
+    shown = confidence_colours(confidence) if rgb is None else rgb
+    return ply_bytes({"vertex": point_records(xyz, shown, confidence, double)})
 
 
 def _info(path: str | PathLike[str], fields: Fields) -> dict[str, Any]:

@@ -15,11 +15,17 @@ from l2p.io.endings import checked_ending
 from l2p.io.kinds import HIDDEN_MAPS, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb, point_records
+from l2p.io.point_text import ENDINGS as TEXT
+from l2p.io.point_text import text_bytes
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
 
 #: Published attributes that a file can hold beside the points, by its ending.
-HELD: dict[str, tuple[str, ...]] = {".npz": ("rgb", "descriptor"), ".ply": ("rgb",)}
+HELD: dict[str, tuple[str, ...]] = {
+    ".npz": ("rgb", "descriptor"),
+    ".ply": ("rgb",),
+    **{ending: () if ending == ".xyz" else ("rgb",) for ending in TEXT},
+}
 
 #: Newest version of the truth file. Version 1, without ``element``, is written if row i is behind line i.
 TRUTH_VERSION = 2
@@ -54,14 +60,18 @@ def checked_scene(path: str | PathLike[str], scene: Scene) -> Scene:
 
 
 def save_scene(scene: Scene, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write the points and their colours, and to an npz their descriptors; a PLY holds none, and they are left out.
+    """Write the points and their colours, and to an npz their descriptors; others hold none, and they are left out.
+
+    Coordinates of a PLY have 32 bits, or 64 if these would lose digits; an ``.xyz`` has no colours either.
 
     Raises
     ------
     InputError
-        If ``path`` ends neither with .npz nor with .ply, or must not be written.
+        If ``path`` does not end with .npz, .ply, .xyz, .txt or .csv, or must not be written.
     """
-    if scene_ending(path) == ".ply":
+    if (ending := scene_ending(path)) in TEXT:
+        content = text_bytes(ending, scene.xyz, scene.rgb)
+    elif ending == ".ply":
         content = ply_bytes({"vertex": point_records(scene.xyz, scene.rgb)})
     else:
         kind = None if scene.descriptor_kind is None else np.array(scene.descriptor_kind)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Num
 
 from l2p.errors import InputError
+from l2p.maps.short_repr import short_repr
 
 #: Largest distance, in pixels, of a keypoint of the model from the same one in the file of features.
 SAME_PLACE = 0.05
@@ -34,6 +35,8 @@ class ImageFeatures:
 
     descriptor: Num[np.ndarray, "keypoints length"]
     xy: Num[np.ndarray, "keypoints 2"] | None
+
+    __repr__ = short_repr
 
 
 @runtime_checkable
@@ -73,6 +76,8 @@ class Seen:
     point: Int[np.ndarray, " observations"]
     keypoint: Int[np.ndarray, " observations"]
     xy: Float[np.ndarray, "observations 2"]
+
+    __repr__ = short_repr
 
 
 def mean_over_tracks(

@@ -17,6 +17,7 @@ from l2p.errors import InputError
 from l2p.geometry.points import nearest_neighbors
 from l2p.judging.neighbours import right_neighbors
 from l2p.maps.recovery import Recovery
+from l2p.maps.short_repr import short_repr
 from l2p.maps.truth import Truth
 from l2p.utility.localization import Localization
 
@@ -122,6 +123,8 @@ class Outcome:
     confidence: Float[np.ndarray, " points"]
     metric: bool = False
     localization: Localization | None = None
+
+    __repr__ = short_repr
 
     @property
     def inside(self) -> Bool[np.ndarray, " points"]:

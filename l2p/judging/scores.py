@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from l2p.checks import named
+from l2p.errors import InputError
+from l2p.io.given import GivenRecovery, GivenTruth, given_recovery, given_truth
 from l2p.judging.accuracy import compare
 from l2p.judging.measure import Value, figures, measured
-from l2p.maps.recovery import Recovery
-from l2p.maps.truth import Truth
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,10 @@ class Scores:
 
     figures: dict[str, Value]
 
+    def __repr__(self) -> str:
+        told = {name: self.figures.get(name) for name in ("lines", "median_spacings", "within_1", "calibration_error")}
+        return f"Scores({', '.join(f'{k}={v:.4g}' for k, v in told.items() if v is not None)}, ...)"
+
     def __getattr__(self, name: str) -> Any:
         if name in self.__dict__.get("figures", {}):
             return self.figures[name]
@@ -65,8 +70,8 @@ class Scores:
 
 
 def evaluate(
-    recovery: Recovery,
-    truth: Truth | Float[np.ndarray, "lines 3"],
+    recovery: GivenRecovery,
+    truth: GivenTruth,
     spacing: float | None = None,
     metric: bool = False,
 ) -> Scores:
@@ -74,9 +79,10 @@ def evaluate(
 
     Parameters
     ----------
-    recovery : Recovery
-    truth : Truth or (lines, 3) array
-        True points; an array is in the order of the lines.
+    recovery : Recovery, path or (lines, 3) array
+        Recovered points, or the path of their npz; an array is in the order of the lines.
+    truth : Truth, Hiding, path or (lines, 3) array
+        True points, or the path of their npz; an array is in the order of the lines.
     spacing : float, optional
         Spacing of the full true cloud, scene units. Default: the one saved with the truth; without it, that of the
         true points, which is right only if all points were hidden.
@@ -89,8 +95,10 @@ def evaluate(
 
     Raises
     ------
+    FileNotFoundError
+        If there is no such file.
     InputError
-        If truth and recovery are not of the same lines.
+        If it is anything else, truth and recovery are not of the same lines, or the spacing is no positive number.
 
     Notes
     -----
@@ -104,4 +112,6 @@ def evaluate(
     >>> scores.lines, 0 <= scores.within_spacings["1"] <= 1
     (200, True)
     """
-    return Scores(measured(compare(recovery, truth, spacing, metric)))
+    if spacing is not None and not (isinstance(spacing, numbers.Real) and 0 < spacing < np.inf):
+        raise InputError(f"got spacing {named(spacing)}; expected a length above 0, in scene units")
+    return Scores(measured(compare(given_recovery(recovery), given_truth(truth), spacing, metric)))

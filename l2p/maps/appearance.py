@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from l2p.errors import InputError
 from l2p.maps import ATTRIBUTES as ATTRIBUTES
+from l2p.maps.short_repr import short_repr
 
 #: Kind of a descriptor whose source does not say it.
 UNKNOWN_KIND = "unknown"
@@ -46,7 +47,11 @@ class Appearance:
     descriptor: Float[np.ndarray, "rows length"] | UInt8[np.ndarray, "rows length"] | None = None
     descriptor_kind: str | None = None
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
+        if self.rgb is not None:
+            object.__setattr__(self, "rgb", np.asarray(self.rgb))
         if self.rgb is not None and (self.rgb.dtype != np.uint8 or self.rgb.ndim != 2 or self.rgb.shape[1] != 3):
             raise InputError(
                 f"got rgb of type {self.rgb.dtype}, shape {self.rgb.shape}; expected uint8 of shape (rows, 3)"

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int, UInt8
 from l2p.checks import finite_rows, refuse
 from l2p.errors import InputError
 from l2p.maps.appearance import NO_APPEARANCE, Appearance, WithAppearance
+from l2p.maps.short_repr import short_repr
 
 #: Largest |d| - 1 and |d . m| / |m| that count as rounding: files may be written in single precision.
 UNIT_TOLERANCE = 1e-4
@@ -62,6 +63,8 @@ class LineCloud(WithAppearance):
     descriptor: np.ndarray | None = None
     descriptor_kind: str | None = None
     second: Appearance | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         direction = finite_rows("direction", self.direction)

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from l2p.checks import finite_rows
 from l2p.maps.appearance import Appearance, WithAppearance
+from l2p.maps.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,8 @@ class PermutedCloud(WithAppearance):
     scheme: str = "permuted"
     descriptor: np.ndarray | None = None
     descriptor_kind: str | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         xyz = finite_rows("xyz", self.xyz)

@@ -12,6 +12,7 @@ from l2p.checks import finite_rows, refuse
 from l2p.errors import InputError
 from l2p.maps.appearance import Appearance, WithAppearance
 from l2p.maps.lines import UNIT_TOLERANCE
+from l2p.maps.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +53,8 @@ class PlaneCloud(WithAppearance):
     scheme: str = "planes"
     descriptor: np.ndarray | None = None
     descriptor_kind: str | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         normal = finite_rows("normal", self.normal)

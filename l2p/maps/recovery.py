@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from l2p.checks import element_rows
+from l2p.checks import element_rows, point_rows
+from l2p.errors import InputError
+from l2p.maps.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,8 @@ class Recovery:
     Raises
     ------
     InputError
-        If an element is negative, or their number is not that of the rows.
+        If the points are no numbers of shape (rows, 3), an element is negative, or there is not one of each for each
+        row.
 
     Examples
     --------
@@ -66,7 +69,13 @@ class Recovery:
     calibrated: bool = False
     element: Int[np.ndarray, " rows"] = None  # type: ignore[assignment]
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
+        object.__setattr__(self, "xyz", point_rows("xyz", self.xyz))
+        for name in ("confidence", "beta"):
+            if (shape := np.shape(getattr(self, name))) != (len(self.xyz),):
+                raise InputError(f"got {name} of shape {shape}; expected one for each of {len(self.xyz)} points")
         object.__setattr__(self, "element", element_rows(self.element, len(self.xyz)))
 
     @property

@@ -7,7 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from l2p.checks import point_rows
+from l2p.errors import InputError
 from l2p.maps.appearance import Appearance, WithAppearance
+from l2p.maps.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +39,7 @@ class Scene(WithAppearance):
     Raises
     ------
     InputError
-        If colours or descriptors do not fit.
+        If the points are no numbers of shape (points, 3), or colours, descriptors or others are not of these points.
     """
 
     xyz: Float[np.ndarray, "points 3"]
@@ -48,7 +51,16 @@ class Scene(WithAppearance):
     descriptor: np.ndarray | None = None
     descriptor_kind: str | None = None
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
+        object.__setattr__(self, "xyz", point_rows("xyz", self.xyz))
+        for name in ("error", "track_length", "ids"):
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != (len(self.xyz),):
+                raise InputError(
+                    f"got {name} of shape {np.shape(value)}; expected one for each of {len(self.xyz)} points"
+                )
         appearance = Appearance(self.rgb, self.descriptor, self.descriptor_kind)
         appearance.check_rows(len(self.xyz), "points")
         object.__setattr__(self, "descriptor", appearance.descriptor)

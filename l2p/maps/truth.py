@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from l2p.checks import element_rows
+from l2p.checks import element_rows, point_rows
 from l2p.errors import InputError
 from l2p.maps.lines import LineCloud
 from l2p.maps.permuted import PermutedCloud
 from l2p.maps.planes import PlaneCloud
+from l2p.maps.short_repr import short_repr
 
 #: What schemes publish.
 MAPS = (LineCloud, PlaneCloud, PermutedCloud)
@@ -42,7 +43,7 @@ class Truth:
     Raises
     ------
     InputError
-        If an element is negative, or their number is not that of the points.
+        If the points are no numbers of shape (points, 3), an element is negative, or their number is another one.
     """
 
     xyz: Float[np.ndarray, "points 3"]
@@ -52,7 +53,10 @@ class Truth:
     seed: int | None = None
     element: Int[np.ndarray, " points"] = None  # type: ignore[assignment]
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
+        object.__setattr__(self, "xyz", point_rows("xyz", self.xyz))
         object.__setattr__(self, "element", element_rows(self.element, len(self.xyz)))
 
     @property

@@ -12,6 +12,10 @@ from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
 from l2p.errors import InputError, sentence
+from l2p.programs.needed import end_without
+
+#: Exit code after Ctrl-C, 128 + SIGINT.
+INTERRUPTED = 130
 
 
 def launch(program: str, main: Callable[[], None]) -> None:
@@ -27,12 +31,21 @@ def launch(program: str, main: Callable[[], None]) -> None:
 
 
 @contextmanager
-def explained(program: str) -> Iterator[None]:
-    """End the program in one sentence on InputError or OSError, before hydra reports it."""
+def explained(program: str, left: Callable[[], str] = lambda: "the same command continues the run") -> Iterator[None]:
+    """End the program in one sentence on InputError, OSError or a missing package, before hydra reports it.
+
+    On Ctrl-C it ends with code 130 and says what is ``left``; of several ranks, one does.
+    """
     try:
         yield
     except (InputError, OSError) as error:
         _end(program, sentence(error))
+    except ModuleNotFoundError as error:
+        end_without(program, error)
+    except KeyboardInterrupt:
+        if os.environ.get("LOCAL_RANK", "0") == "0":
+            print(f"{program}: interrupted; {left()}", file=sys.stderr)
+        sys.exit(INTERRUPTED)
 
 
 def _end(program: str, message: str) -> NoReturn:

@@ -19,6 +19,7 @@ from l2p.io.scene_files import load_scene
 from l2p.judging.accuracy import spacing
 from l2p.maps.appearance import Appearance
 from l2p.maps.scene import Scene
+from l2p.maps.short_repr import short_repr
 from l2p.simulator import KINDS as SIMULATED
 from l2p.simulator import MAX_POINTS, MIN_POINTS, simulate
 
@@ -61,6 +62,8 @@ class Loaded:
     digest: str
     appearance: Appearance
     attributes: dict[str, str]
+
+    __repr__ = short_repr
 
 
 def scenes_of(entries: Sequence[str], kinds: dict[str, str]) -> tuple[SceneSource, ...]:

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import os
+import pkgutil
 from dataclasses import replace
+from os import PathLike
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from l2p.checks import check_fraction, finite_rows
+from l2p.checks import check_fraction, check_seed, finite_rows, named, point_rows
 from l2p.errors import InputError
 from l2p.maps.appearance import Appearance
 from l2p.maps.region import kept_rows
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Hiding
-from l2p.schemes.scheme import DEFAULT_SCHEME, scheme_of
+from l2p.schemes.scheme import DEFAULT_SCHEME, SchemeName, scheme_of
 
 _STREAM = 0x11FE
+#: Reads a scene from its path.
+_READER = "l2p.io.scene_files:load_scene"
 
 
 def hide(
-    points: Float[np.ndarray, "points 3"] | Scene,
+    points: Float[np.ndarray, "points 3"] | Scene | str | PathLike[str],
     seed: int | None = None,
     fraction: float = 1.0,
-    scheme: str = DEFAULT_SCHEME,
+    scheme: SchemeName | str = DEFAULT_SCHEME,
     rgb: UInt8[np.ndarray, "points 3"] | bool | None = None,
     descriptor: np.ndarray | bool | None = None,
     descriptor_kind: str | None = None,
@@ -34,8 +39,8 @@ def hide(
 
     Parameters
     ----------
-    points : (points, 3) float or Scene
-        Points in scene units, or a scene, whose ids are copied to the truth.
+    points : (points, 3) float, Scene or path
+        Points in scene units, or a scene, whose ids are copied to the truth, or the path of its file.
     seed : int, optional
         Seed of directions and subset. None draws one from the system. Hide a map for publication without a seed: anyone
         who guesses it can redraw the directions in the order of the points.
@@ -67,6 +72,8 @@ def hide(
 
     Raises
     ------
+    FileNotFoundError
+        If there is nothing at the path.
     InputError
         If there are no points, a point is not finite, the fraction is outside (0, 1], the scheme is unknown or needs
         more points, colours or descriptors are not those of the points, or none or all of the points are dropped.
@@ -96,11 +103,12 @@ def hide(
     >>> bool((points[hidden.truth.index] == hidden.truth.xyz).all())
     True
     """
-    scene = points if isinstance(points, Scene) else Scene(points)
+    scene = _scene_of(points)
     xyz = finite_rows("points", scene.xyz)
     if len(xyz) == 0:
         raise InputError("got a scene without points; expected at least one point to lift")
     check_fraction(fraction)
+    check_seed(seed)
     way, appearance = scheme_of(scheme, cell), _published(scene, rgb, descriptor, descriptor_kind)
     kept = np.arange(len(xyz)) if drop is None else kept_rows(drop, len(xyz))
     if drop is not None:
@@ -115,10 +123,10 @@ def hide(
 
 
 def lift(
-    points: Float[np.ndarray, "points 3"] | Scene,
+    points: Float[np.ndarray, "points 3"] | Scene | str | PathLike[str],
     seed: int | None = None,
     fraction: float = 1.0,
-    scheme: str = DEFAULT_SCHEME,
+    scheme: SchemeName | str = DEFAULT_SCHEME,
     rgb: UInt8[np.ndarray, "points 3"] | bool | None = None,
     descriptor: np.ndarray | bool | None = None,
     descriptor_kind: str | None = None,
@@ -132,6 +140,18 @@ def lift(
     4
     """
     return hide(points, seed, fraction, scheme, rgb, descriptor, descriptor_kind, drop, cell).map
+
+
+def _scene_of(points: object) -> Scene:
+    """The scene of points, or of a file."""
+    if isinstance(points, Scene):
+        return points
+    if isinstance(points, str | os.PathLike):
+        # By name, as schemes are found: reading is on a higher floor.
+        return pkgutil.resolve_name(_READER)(points)
+    if hasattr(points, "shape") or isinstance(points, list | tuple):
+        return Scene(point_rows("points", points))
+    raise InputError(f"got {named(points)}; expected a Scene, points of shape (points, 3), or the path of a scene")
 
 
 def _subset(count: int, fraction: float, rng: np.random.Generator) -> Int[np.ndarray, " chosen"]:

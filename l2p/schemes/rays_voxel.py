@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numbers
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -35,8 +37,8 @@ class RaysVoxel:
     answers = 1
 
     def __init__(self, cell: float | None = None) -> None:
-        if cell is not None and not 0 < cell < np.inf:
-            raise InputError(f"got cell {cell:g}; expected the side of a cube in scene units, above 0")
+        if cell is not None and not (isinstance(cell, numbers.Real) and 0 < cell < np.inf):
+            raise InputError(f"got cell {cell}; expected the side of a cube in scene units, above 0")
         self.cell = cell
 
     def hide(

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from l2p.errors import InputError
 from l2p.maps.lines import LineCloud
+from l2p.maps.short_repr import short_repr
 from l2p.schemes import meeting
 
 UNIFORM = "uniform"
@@ -81,6 +82,8 @@ class Recognition:
     centers: Float[np.ndarray, "centers 3"]
     family: Int[np.ndarray, " lines"] | None
     expected: bool
+
+    __repr__ = short_repr
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, without the centres: an entry of ``Recovery.info``."""

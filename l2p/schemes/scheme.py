@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pkgutil
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 from l2p.errors import InputError
 
@@ -36,6 +36,24 @@ SCHEMES = {
     "planes-random": "l2p.schemes.random_planes:RandomPlanes",
     "permuted": "l2p.schemes.swapped:Permuted",
 }
+#: Their names as a type, for completion in editors.
+SchemeName: TypeAlias = Literal[
+    "uniform",
+    "ppl",
+    "ppl+",
+    "ppl+published",
+    "rays",
+    "rays-voxel",
+    "half-space",
+    "sphere",
+    "sphere-50",
+    "sphere-33",
+    "sphere-25",
+    "planes",
+    "planes-pooled",
+    "planes-random",
+    "permuted",
+]
 #: What each scheme does, in a few words.
 MEANINGS = {
     DEFAULT_SCHEME: "lines of random direction",
@@ -111,7 +129,7 @@ def scheme_of(name: str, cell: float | None = None) -> Any:
     InputError
         If there is no such scheme, or it has no cells.
     """
-    if name not in SCHEMES:
+    if not isinstance(name, str) or name not in SCHEMES:
         raise InputError(f"got scheme {name!r}; expected one of {', '.join(SCHEMES)}")
     make = pkgutil.resolve_name(SCHEMES[name])
     if cell is None:

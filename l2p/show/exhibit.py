@@ -14,6 +14,7 @@ from l2p.io.line_files import load_lines
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
 from l2p.maps.lines import LineCloud
+from l2p.maps.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +50,8 @@ class Exhibit:
     error: Float[np.ndarray, " rows"] | None = None
     camera_centers: Float[np.ndarray, "cameras 3"] | None = None
     spacing: float | None = None
+
+    __repr__ = short_repr
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Exhibit:

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from l2p.maps.lines import LineCloud
 from l2p.maps.scene import Scene
+from l2p.maps.short_repr import short_repr
 from l2p.show.colors import error_bar, error_colors
 
 if TYPE_CHECKING:
@@ -38,6 +39,8 @@ class Box:
 
     low: Float[np.ndarray, "3"]
     high: Float[np.ndarray, "3"]
+
+    __repr__ = short_repr
 
     @classmethod
     def of_room(cls, scene: Scene) -> Box:
@@ -90,6 +93,8 @@ class Camera:
 
     eye: Float[np.ndarray, "3"]
     axes: Float[np.ndarray, "3 3"]
+
+    __repr__ = short_repr
 
     @classmethod
     def above(cls, box: Box) -> Camera:

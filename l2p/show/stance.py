@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from l2p.maps.lines import LineCloud
+from l2p.maps.short_repr import short_repr
 from l2p.show.exhibit import Exhibit
 
 #: Share of the points that the view must show, and factor on its radius: most maps have a far background.
@@ -24,6 +25,8 @@ class Stance:
     center: Float[np.ndarray, "3"]
     radius: float
     axes: Float[np.ndarray, "3 3"]
+
+    __repr__ = short_repr
 
     @classmethod
     def before(cls, exhibit: Exhibit) -> Stance:

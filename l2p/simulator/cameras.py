@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from l2p.maps.short_repr import short_repr
 from l2p.simulator.surfaces import Number
 
 
@@ -30,6 +31,8 @@ class Cameras:
     focal: float
     width: int
     height: int
+
+    __repr__ = short_repr
 
     def local(
         self, point: Float[np.ndarray, "views 3"], camera: Int[np.ndarray, " views"]

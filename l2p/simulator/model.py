@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from l2p.errors import InputError
 from l2p.maps.scene import Scene
+from l2p.maps.short_repr import short_repr
 from l2p.simulator.cameras import Cameras
 
 
@@ -40,6 +41,8 @@ class SimulatedModel:
     view_point: Int[np.ndarray, " views"]
     view_camera: Int[np.ndarray, " views"]
     view_pixel: Float[np.ndarray, "views 2"]
+
+    __repr__ = short_repr
 
     def save_colmap(self, path: str | PathLike[str]) -> None:
         """Write a COLMAP model (bin) into ``path``, a folder that is new or empty.

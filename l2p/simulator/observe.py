@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from l2p.maps.short_repr import short_repr
 from l2p.simulator.cameras import Cameras
 from l2p.simulator.occlusion import hidden
 from l2p.simulator.surfaces import LEAVES, Shapes, Stage
@@ -70,6 +71,8 @@ class Sightings:
     point: Int[np.ndarray, " views"]
     camera: Int[np.ndarray, " views"]
 
+    __repr__ = short_repr
+
     def __len__(self) -> int:
         return len(self.xyz)
 
@@ -88,6 +91,8 @@ class Candidates:
     wrong: Bool[np.ndarray, " points"]
     solid: Int[np.ndarray, " points"]
     reference: Int[np.ndarray, " points"]
+
+    __repr__ = short_repr
 
     def __len__(self) -> int:
         return len(self.xyz)

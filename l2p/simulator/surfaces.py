@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from l2p.maps.short_repr import short_repr
+
 #: Metres, radians or shares; an int is as good as a float.
 Number = float | int
 #: Red, green, blue (0 to 255), or x, y, z (metres).
@@ -86,6 +88,8 @@ class Shapes:
     center: Float[np.ndarray, "shapes 3"]
     axes: Float[np.ndarray, "shapes 3 3"]
     solid: Int[np.ndarray, " shapes"]
+
+    __repr__ = short_repr
 
 
 class Stage:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from l2p.maps.short_repr import short_repr
 from l2p.simulator.surfaces import CYLINDER, LEAVES, SQUARE, Shapes, Stage, Texture, Triple, on_shape
 
 #: Structures per patterned patch.
@@ -40,6 +41,8 @@ class Structures:
     sigma: Float[np.ndarray, "structures 3"]
     weight: Float[np.ndarray, " structures"]
     rgb: Float[np.ndarray, "structures 3"]
+
+    __repr__ = short_repr
 
 
 def texture_stage(stage: Stage, rng: np.random.Generator) -> Structures:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from l2p.maps.short_repr import short_repr
 from l2p.simulator.cameras import Cameras
 from l2p.simulator.observe import Sightings, select
 
@@ -29,6 +30,8 @@ class Tracks:
     xyz: Float[np.ndarray, "points 3"]
     pixel: Float[np.ndarray, "views 2"]
     error: Float[np.ndarray, " points"]
+
+    __repr__ = short_repr
 
     @property
     def length(self) -> Int[np.ndarray, " points"]:

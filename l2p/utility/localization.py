@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from l2p.errors import InputError
+from l2p.maps.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,8 @@ class Localized:
     wrong: float | None
     attempts: tuple[Attempt, ...]
 
+    __repr__ = short_repr
+
     @property
     def position(self) -> float:
         """Median error of position, scene units; infinite if half of the queries were not localized."""
@@ -162,6 +165,8 @@ class Localization:
     upright: bool
     seed: int
     trials: tuple[Localized, ...]
+
+    __repr__ = short_repr
 
     @property
     def limits(self) -> tuple[Limit, ...]:

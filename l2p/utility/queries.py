@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, Num
 from l2p.errors import InputError
 from l2p.geometry.camera_rays import camera_rays
 from l2p.io.track_means import Features, Seen, keypoint_descriptors, observations
+from l2p.maps.short_repr import short_repr
 
 #: Fewest images that must see a point, besides the query, for the point to be in the map.
 LEAST_IMAGES = 2
@@ -59,6 +60,8 @@ class Query:
     pose: Pose
     descriptor: Num[np.ndarray, "keypoints length"] | None = None
 
+    __repr__ = short_repr
+
     def __len__(self) -> int:
         return len(self.point)
 
@@ -77,6 +80,8 @@ class Queries:
 
     all: tuple[Query, ...]
     points: int
+
+    __repr__ = short_repr
 
     @cached_property
     def images(self) -> Int[np.ndarray, " points"]:

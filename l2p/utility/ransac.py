@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from l2p.errors import InputError
+from l2p.maps.short_repr import short_repr
 from l2p.utility.landmarks import Gravity, Landmarks
 from l2p.utility.queries import Pose
 
@@ -81,6 +82,8 @@ class Located:
     pose: Pose
     inliers: Bool[np.ndarray, " matches"]
     samples: int
+
+    __repr__ = short_repr
 
 
 def locate(
@@ -168,6 +171,8 @@ class _Score:
     pixel: Float[np.ndarray, " matches"]
     rows: Int[np.ndarray, " matches"]
     config: RansacConfig
+
+    __repr__ = short_repr
 
     def residuals(self, poses: Float[np.ndarray, "poses 3 4"]) -> Float[np.ndarray, "poses matches"]:
         """Residuals in pixels."""

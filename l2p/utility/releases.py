@@ -19,6 +19,7 @@ from l2p.io.kinds import Kind, kind_of
 from l2p.io.scene_files import load_scene
 from l2p.maps.lines import LineCloud
 from l2p.maps.scene import Scene
+from l2p.maps.short_repr import short_repr
 from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
 from l2p.schemes.scheme import DEFAULT_SCHEME, SCHEMES, published_by
@@ -50,6 +51,8 @@ class Release:
     fraction: float
     landmarks: Landmarks
     landmark_of: Int[np.ndarray, " points"]
+
+    __repr__ = short_repr
 
     @classmethod
     def of_lines(cls, hidden: Hiding, fraction: float, points: int) -> Release:

@@ -8,6 +8,7 @@ blocks and never changes the result.
 from __future__ import annotations
 
 import math
+import numbers
 import os
 import re
 from pathlib import Path
@@ -55,10 +56,10 @@ def allotted(memory: float | None, lines: int, line_bytes: float) -> int | None:
         if free is None:
             return None
         most, given = SHARE * free, f"{SHARE:.0%} of the free memory, {SHARE * free / GIB:.2f} GiB,"
-    elif 0 < memory < float("inf"):
+    elif isinstance(memory, numbers.Real) and 0 < memory < float("inf"):
         most, given = memory * GIB, f"{memory:g} GiB of memory"
     else:
-        raise InputError(f"got a memory of {memory:g} GiB; expected a number above 0")
+        raise InputError(f"got a memory of {memory} GiB; expected a number above 0")
     held = BASE + lines * line_bytes
     if most < held + SMALLEST:
         needed = math.ceil((held + SMALLEST) / GIB * 100) / 100

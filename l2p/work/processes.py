@@ -19,6 +19,7 @@ from types import FrameType
 from typing import Any, NamedTuple, NoReturn
 
 from l2p.errors import InputError, LostProcessError
+from l2p.work.launched import among_others
 from l2p.work.shards import Processes, Shards
 
 #: Timeout of a rank that waits for the others; far longer than their differences in speed.
@@ -39,12 +40,6 @@ class Place(NamedTuple):
 
     shards: Shards
     device: str
-
-
-def among_others() -> bool:
-    """Return whether this process is one of several ranks."""
-    count = os.environ.get("WORLD_SIZE", "")
-    return count.isdecimal() and int(count) > 1
 
 
 @contextmanager

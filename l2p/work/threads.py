@@ -19,8 +19,6 @@ from l2p.work.memory import fitting
 
 #: Queue depth per thread: blocks begun or finished but not yet consumed, so that no thread is idle.
 _AHEAD = 2
-#: Largest number of threads accepted: OpenMP crashes the process if the system refuses to start them.
-MOST_THREADS = 1024
 
 Result = TypeVar("Result")
 

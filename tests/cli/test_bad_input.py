@@ -244,7 +244,7 @@ HEURISTIC = ("--method", "heuristic")
         ("lines.npz", [], "got lines.npz twice"),
         ("recovery.npz", [], "recovery.npz exists; choose another path, or replace it (--force, overwrite=True)"),
         ("folder", ["--force"], "expected .npz, .ply, or a folder together with --model MODEL --truth TRUTH.npz"),
-        ("out.xyz", [], "got -o out.xyz; expected .npz, .ply, or a folder together with --model"),
+        ("out.pcd", [], "got -o out.pcd; expected .npz, .ply, .xyz, .txt, .csv, or a folder together with --model"),
         ("nowhere/out.npz", [], "the folder of nowhere/out.npz does not exist"),
         ("out", ["--model", "folder", "--truth", "truth.npz"], "truth.npz has no point ids"),
         ("folder/out", ["--model", "folder", "--truth", "truth.npz"], "share a folder"),

@@ -76,7 +76,7 @@ def test_ply_holds_the_kept_points_with_colour_and_confidence(tmp_path):
     save_recovery(recovery, tmp_path / "out.ply")
     vertex = PlyData.read(str(tmp_path / "out.ply"))["vertex"].data
     np.testing.assert_array_equal(vertex["confidence"], recovery.confidence[recovery.kept])
-    np.testing.assert_array_equal(vertex["x"], recovery.xyz[recovery.kept, 0])
+    np.testing.assert_array_equal(vertex["x"], recovery.xyz[recovery.kept, 0].astype(np.float32))
     assert vertex.dtype["confidence"] == np.float32
     assert recovery.rgb is not None
     np.testing.assert_array_equal(load_scene(tmp_path / "out.ply").rgb, recovery.rgb[recovery.kept])
@@ -129,5 +129,5 @@ def test_what_is_no_recovery(tmp_path):
         load_recovery(tmp_path / "out.ply")
     with pytest.raises(FileNotFoundError):
         load_recovery(tmp_path / "missing.npz")
-    with pytest.raises(InputError, match=r"ends with '\.xyz'; expected a recovery to end with \.npz or \.ply"):
-        save_recovery(recovery_of(), tmp_path / "out.xyz")
+    with pytest.raises(InputError, match=r"ends with '\.pcd'; expected a recovery to end with \.npz, .*or \.csv"):
+        save_recovery(recovery_of(), tmp_path / "out.pcd")

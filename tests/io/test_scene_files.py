@@ -46,7 +46,7 @@ def test_ply_round_trip(tmp_path):
     scene = scene_of()
     save_scene(scene, tmp_path / "scene.ply")
     again = l2p.load(tmp_path / "scene.ply", Scene)
-    np.testing.assert_array_equal(again.xyz, scene.xyz)
+    np.testing.assert_array_equal(again.xyz, scene.xyz.astype(np.float32))
     np.testing.assert_array_equal(again.rgb, scene.rgb)
 
 

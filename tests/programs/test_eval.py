@@ -222,6 +222,20 @@ def test_a_changed_scene_file_is_not_mixed_in(tmp_path: Path, scene_points: np.n
         run(tmp_path / "run", *overrides)
 
 
+def test_an_edited_callable_is_run_again_and_no_other(tmp_path: Path, plugin: Callable[..., Path]) -> None:
+    folder = plugin("edited")
+    method = "methods=[{name: call, path: edited:attack, label: own}, {name: oracle, k: 10}]"
+    assert run(tmp_path / "run", method) == 0
+    calls = len((folder / "calls").read_text())
+    oracle = {file: file.stat().st_mtime_ns for file in (tmp_path / "run" / "predictions").glob("*oracle*.npz")}
+    assert run(tmp_path / "run", method) == 0
+    assert calls and len((folder / "calls").read_text()) == calls
+    (folder / "edited.py").write_text((folder / "edited.py").read_text() + "# another word\n")
+    assert run(tmp_path / "run", method) == 0
+    assert len((folder / "calls").read_text()) == 2 * calls
+    assert all(file.stat().st_mtime_ns == made for file, made in oracle.items())
+
+
 def test_a_users_points_and_recoveries_are_scored(tmp_path: Path, plugin: Callable[..., Path]) -> None:
     plugin("own")
     folder = tmp_path / "elsewhere"

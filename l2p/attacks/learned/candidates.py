@@ -21,6 +21,7 @@ from l2p.attacks.tomography.posterior import Posterior
 from l2p.geometry.elements import Lines, picked
 from l2p.geometry.nearest import Nearest
 from l2p.geometry.pairs import PARALLEL, point_line_distance
+from l2p.maps.short_repr import short_repr
 
 #: Lines per block of the choice of candidates; their vectors stay in the cache.
 _BLOCK = 512
@@ -51,6 +52,8 @@ class Candidates:
     chosen: Int[Tensor, "rows k"]
     first: int = 0
     attributes: Mapping[str, Any] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     def own(self, column: Shaped[Tensor, "lines ..."]) -> Shaped[Tensor, "rows 1 ..."]:
         """Select the entries of the lines themselves."""

@@ -29,6 +29,7 @@ from l2p.attacks.learned.network import LineTransformer, NetworkConfig
 from l2p.attacks.settings import LearnedSettings
 from l2p.checks import check_fraction
 from l2p.errors import InputError
+from l2p.maps.short_repr import short_repr
 from l2p.schemes.recognition import UNIFORM
 
 #: Version of the file format; a reader refuses versions that it does not know.
@@ -65,6 +66,8 @@ class Checkpoint:
     calibration: Calibrations
     facts: dict[str, Any] = field(default_factory=dict)
     inputs: Sequence[Inputs] = ()
+
+    __repr__ = short_repr
 
     @property
     def scheme(self) -> str:
