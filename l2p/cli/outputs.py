@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +12,11 @@ from typing import Any
 
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file, check_file
+from l2p.io.taken_for import taken_for
+from l2p.maps.lines import LineCloud
+from l2p.maps.permuted import PermutedCloud
+from l2p.maps.planes import PlaneCloud
+from l2p.maps.scene import Scene
 
 
 def check_outputs(inputs: list[str], outputs: list[str | None], force: bool) -> None:
@@ -27,6 +33,11 @@ def check_outputs(inputs: list[str], outputs: list[str | None], force: bool) -> 
 
 def file_of(json_path: str | None) -> str | None:
     return None if json_path == "-" else json_path
+
+
+def say_taken(path: str, content: Scene | LineCloud | PlaneCloud | PermutedCloud, arguments: Namespace) -> None:
+    """Say what a file was taken for, on stdout unless that is for the figures."""
+    print(taken_for(path, content, arguments.columns), file=sys.stderr if arguments.json == "-" else sys.stdout)
 
 
 @contextmanager

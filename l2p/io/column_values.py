@@ -199,11 +199,13 @@ def _without_units(first: np.ndarray, second: np.ndarray) -> tuple[str, ...]:
     """A point and a direction, or two points: the reading whose lines are uniform, or have a structure."""
     if _perpendicular(first, second):
         raise UndecidedError("perpendicular and none a unit vector, as of Plücker lines")
+    usable = (np.linalg.norm(second, axis=1) > 0) & (np.linalg.norm(second - first, axis=1) > 0)
+    if usable.mean() < _NEARLY_ALL:
+        raise UndecidedError("often without a direction, as points and directions and as two points")
+    first, second = first[usable], second[usable]
     apart = second - first
-    if not (np.linalg.norm(second, axis=1) > 0).all():
-        raise UndecidedError("the last three sometimes 0")
-    if not (np.linalg.norm(apart, axis=1) > 0).all():
-        return (*POINT, *DIRECTION)
+    if _are_few(apart) or _are_few(second):
+        return (*POINT, *DIRECTION)  # away from a few centres, or parallel
     length = np.linalg.norm(apart, axis=1)
     if np.ptp(length) < _ROUNDED * length.mean() and np.ptp(np.linalg.norm(second, axis=1)) > 0.1 * length.mean():
         return (*POINT, *END)  # pieces of one length
@@ -214,6 +216,12 @@ def _without_units(first: np.ndarray, second: np.ndarray) -> tuple[str, ...]:
         if as_direction:
             break
     raise UndecidedError("that may be a point and a direction, two points of a line, or neither")
+
+
+def _are_few(vector: np.ndarray) -> bool:
+    """Whether there are but a few different vectors, up to rounding."""
+    step = 1e-5 * float(np.abs(vector).max())
+    return len(np.unique(np.round(vector / step), axis=0)) <= 2 * meeting.MOST_CENTRES
 
 
 def _is_uniform(_: np.ndarray, vector: np.ndarray) -> bool:
