@@ -250,7 +250,8 @@ def _are_normals(point: np.ndarray, vector: np.ndarray) -> bool:
         return False
     vector = vector / np.maximum(np.linalg.norm(vector, axis=1, keepdims=True), 1e-9)
     rows = meeting.sample(len(point), _COMPARED, np.random.default_rng(0))
-    near = KDTree(point).query(point[rows], k=min(_NEIGHBOURS + 1, len(point)))[1][:, 1:]
+    _, near = map(np.asarray, KDTree(point).query(point[rows], k=min(_NEIGHBOURS + 1, len(point))))
+    near = near[:, 1:]
     offset = point[near] - point[rows][:, None]
     length = np.linalg.norm(offset, axis=2)
     apart = length > 0

@@ -79,7 +79,7 @@ def _reading(keys: Collection[str]) -> tuple[tuple[str, ...], tuple[str, ...] | 
     """Names of the arrays that make lines, as the file writes them, and what their columns hold."""
     plain = {key.lower(): key for key in keys}
     for names, holds in _READINGS:
-        if set(names) <= set(plain) and not (names[0] == "xyz" and _VAGUE & set(names)):
+        if set(names) <= set(plain) and not ("xyz" in plain and _VAGUE & set(names)):
             return tuple(plain[name] for name in names), holds
     return None
 
