@@ -77,8 +77,8 @@ def not_hidden(path: str | PathLike[str], kind: Kind, columns: str | None = None
     """Say that a file of this kind holds no line cloud or other hidden map, as the end of a sentence."""
     if kind in TABLES:
         return no_lines(path, table_layout(path, columns))
-    what = f"{kind.value}; expected a line cloud or another hidden map"
-    return f"is {what}: make one of the points with l2p lift {path}" if kind in SCENES else f"is {what} (l2p lift)"
+    made = f"hide the points first with l2p lift {path}" if kind in SCENES else "make one with l2p lift"
+    return f"is {kind.value}; expected a line cloud or another hidden map: {made}"
 
 
 def save_lines(cloud: LineCloud, path: str | PathLike[str], *, overwrite: bool = False) -> None:
