@@ -18,7 +18,7 @@ from l2p.cli.flags import POINT_FLAGS, settings_of
 from l2p.cli.lift import described_scene, printable
 from l2p.cli.lift import lift as lift
 from l2p.cli.localize import localize as localize
-from l2p.cli.outputs import check_attack, check_outputs, figures_file, file_of, set_threads
+from l2p.cli.outputs import check_attack, check_outputs, figures_file, file_of, say_taken, set_threads
 from l2p.cli.picture_command import picture as picture
 from l2p.cli.recover import recover as recover
 from l2p.errors import InputError, sentence
@@ -74,13 +74,18 @@ def audit(arguments: Namespace) -> None:
     if arguments.queries < 0:
         raise InputError(f"got --queries {arguments.queries}; expected 0 or more")
     localizing = LocalizeConfig(arguments.matches, (arguments.wrong,), arguments.queries or None)
-    lines_given = kind_of(arguments.scene) in LINE_CLOUDS
+    lines_given = kind_of(arguments.scene, arguments.columns) in LINE_CLOUDS
     if lines_given and arguments.descriptors is not None:
         raise InputError("got --descriptors for a line cloud; expected none, since its file has all that is published")
     for flag in POINT_FLAGS:
         if lines_given and asks_for_points(arguments, flag):
             raise InputError(f"got --{flag}-... for a line cloud, whose points are unknown; expected it of l2p lift")
-    scene = load_lines(arguments.scene) if lines_given else described_scene(arguments.scene, arguments.descriptors)[0]
+    scene: LineCloud | Scene
+    if lines_given:
+        scene = load_lines(arguments.scene, arguments.columns)
+    else:
+        scene = described_scene(arguments.scene, arguments.descriptors, arguments.columns)[0]
+    say_taken(arguments.scene, scene, arguments)
     queries, why = _queries(arguments, scene, needed=goal is not None)
     places = _places(arguments)
     set_threads(arguments.threads)
@@ -191,11 +196,11 @@ def view(arguments: Namespace) -> None:
     if arguments.window:
         check_window()
     check_outputs([arguments.file], [arguments.output], arguments.force)
-    exhibit, name = Exhibit.load(arguments.file), printable(arguments.file)
+    exhibit, name = Exhibit.load(arguments.file, arguments.columns), printable(arguments.file)
     if arguments.window:
         show(exhibit, name)
         return
-    page = view_page(exhibit, name, kind_of(arguments.file).value)
+    page = view_page(exhibit, name, kind_of(arguments.file, arguments.columns).value)
     output = arguments.output or os.path.join(tempfile.mkdtemp(prefix="l2p-view-"), "view.html")
     with atomic_file(output, overwrite=arguments.force) as file:
         file.write(page)
@@ -214,7 +219,7 @@ def _open(page: Path) -> None:
 
 def info(arguments: Namespace) -> None:
     """Run ``l2p info``."""
-    print_info(arguments.file)
+    print_info(arguments.file, arguments.columns)
 
 
 def demo(arguments: Namespace) -> None:
@@ -256,6 +261,7 @@ def _audit_command(arguments: Namespace, lines_given: bool) -> str:
         words += ["--fractions", *(f"{share:.15g}" for share in arguments.fractions)]
     if arguments.descriptors is not None:
         words += ["--descriptors", *([arguments.descriptors] if arguments.descriptors else [])]
+    words += [] if arguments.columns is None else ["--columns", arguments.columns]
     words += ["--ignore", ",".join(arguments.ignore)] if arguments.ignore else []
     words += [*point_words(arguments, "drop"), *point_words(arguments, "region")]
     words += [] if lines_given else ["--seed", str(arguments.seed)]

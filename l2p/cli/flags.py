@@ -55,6 +55,17 @@ def add_points(command: argparse.ArgumentParser, flag: str) -> None:
     )
 
 
+def add_columns(command: argparse.ArgumentParser) -> None:
+    """Add ``--columns``."""
+    command.add_argument(
+        "--columns",
+        metavar="NAMES",
+        help="what the columns of a text or npy file hold, in their order: x,y,z,dx,dy,dz (points and directions), "
+        "x1,y1,z1,x2,y2,z2 (two points of each line), dx,dy,dz,mx,my,mz (Plücker), x,y,z,r,g,b or x,y,z,nx,ny,nz "
+        "(points), - for one that is not used (default: what a header or the numbers tell)",
+    )
+
+
 def settings_of(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the settings given on the command line."""
     values = {name: getattr(arguments, name, None) for name in setting_names()}

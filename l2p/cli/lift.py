@@ -38,7 +38,7 @@ def lift(arguments: Namespace) -> None:
         scene_ending(arguments.output, asked)
     else:
         hidden_ending(arguments.output, published_by(scheme), asked)
-    scene, source = described_scene(arguments.scene, arguments.descriptors)
+    scene, source = described_scene(arguments.scene, arguments.descriptors, arguments.columns)
     if arguments.rgb and scene.rgb is None:
         raise InputError(f"{arguments.scene} has no colours; leave out --rgb")
     drop, left_out = dropped(arguments, scene)
@@ -58,12 +58,12 @@ def lift(arguments: Namespace) -> None:
     warn_of_leaks(arguments.scene)
 
 
-def described_scene(path: str, descriptors: str | None) -> tuple[Scene, Path | None]:
+def described_scene(path: str, descriptors: str | None, columns: str | None = None) -> tuple[Scene, Path | None]:
     """Read a scene and, unless ``descriptors`` is None, the descriptors of that file; empty: of the one beside it.
 
     Return it with the file that the descriptors are from.
     """
-    return (load_scene(path), None) if descriptors is None else load_described(path, descriptors or None)
+    return (load_scene(path, columns), None) if descriptors is None else load_described(path, descriptors or None)
 
 
 def printable(path: str) -> str:

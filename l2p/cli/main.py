@@ -10,7 +10,7 @@ from typing import Any
 
 from l2p.auditing import FRACTIONS
 from l2p.cli.completion import SHELLS, completion_script
-from l2p.cli.flags import add_method, add_points
+from l2p.cli.flags import add_columns, add_method, add_points
 from l2p.cli.help_words import ending
 from l2p.cli.localize_flags import add_decision, add_localization
 from l2p.cli.parser import USER_ERROR, Parser, complain
@@ -104,7 +104,7 @@ def _command(commands: Any, name: str, what: str) -> Parser:
 def _add_lift(commands: Any) -> None:
     lift = _command(commands, "lift", "hide the points of a scene, by lines through them or by another scheme")
     lift.epilog = scheme_table()
-    lift.add_argument("scene", metavar="SCENE", help="COLMAP model folder (bin or txt), PLY, or npz with xyz")
+    lift.add_argument("scene", metavar="SCENE", help="COLMAP model folder (bin or txt), PLY, npz with xyz, or text")
     lift.add_argument(
         "-o",
         dest="output",
@@ -138,6 +138,7 @@ def _add_lift(commands: Any) -> None:
         help="store the descriptors of the points, which help an attacker more: those of FILE (COLMAP's database.db, "
         "hloc's features, or npz), or, without FILE, those of an npz scene or found beside a COLMAP model",
     )
+    add_columns(lift)
     add_points(lift, "drop")
     _add_force(lift)
 
@@ -148,7 +149,7 @@ def _add_recover(commands: Any) -> None:
         "lines",
         metavar="LINES",
         nargs="+",
-        help="line cloud: npz, PLY or OBJ line set, text of x y z dx dy dz; further ones are other releases of the "
+        help="line cloud: npz, PLY or OBJ line set, text (see --columns); further ones are other releases of the "
         "same map, in the same coordinates: their lines meet those of the first in its points",
     )
     recover.add_argument(
@@ -166,6 +167,7 @@ def _add_recover(commands: Any) -> None:
         metavar="NAME",
         help="scheme of lines whose file does not say it, as of lines through pairs: a name of l2p lift --scheme",
     )
+    add_columns(recover)
     _add_ignore(recover, "of the file")
     _add_filters(recover)
     recover.add_argument(
@@ -242,7 +244,9 @@ def _add_localize(commands: Any) -> None:
 def _add_audit(commands: Any) -> None:
     audit = _command(commands, "audit", "tell what could be got back of a map, as a page to look at")
     audit.add_argument(
-        "scene", metavar="SCENE", help="COLMAP model folder, PLY or npz; or a line cloud, of which less can be told"
+        "scene",
+        metavar="SCENE",
+        help="COLMAP model folder, PLY, npz or text; or a line cloud, of which less can be told",
     )
     audit.add_argument(
         "-o", dest="output", metavar="REPORT_DIR", required=True, help="folder to write: index.html, audit.json"
@@ -267,6 +271,7 @@ def _add_audit(commands: Any) -> None:
         help="descriptors that are published with a COLMAP model (default without FILE: those found beside the model); "
         "an npz scene has its own",
     )
+    add_columns(audit)
     _add_ignore(audit, "of the map")
     add_points(audit, "drop")
     add_points(audit, "region")
@@ -312,6 +317,7 @@ def _add_view(commands: Any) -> None:
         metavar="PAGE.html",
         help="page to write (default: one in the folder of temporary files, shown in the browser)",
     )
+    add_columns(view)
     view.add_argument("--open", action="store_true", help="show the page of -o in the browser, too")
     view.add_argument("--window", action="store_true", help="open a window instead (Open3D; needs a display)")
     _add_force(view)
@@ -328,6 +334,7 @@ def _add_picture(commands: Any) -> None:
 def _add_info(commands: Any) -> None:
     info = _command(commands, "info", "say what a file is: scene, line cloud, recovery, truth or checkpoint")
     info.add_argument("file", metavar="FILE", help="any file that l2p reads, or a COLMAP model folder")
+    add_columns(info)
 
 
 def _add_demo(commands: Any) -> None:

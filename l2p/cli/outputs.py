@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,11 @@ from l2p.checks import check_fraction
 from l2p.cli.flags import settings_of
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file, check_file
+from l2p.io.taken_for import taken_for
+from l2p.maps.lines import LineCloud
+from l2p.maps.permuted import PermutedCloud
+from l2p.maps.planes import PlaneCloud
+from l2p.maps.scene import Scene
 from l2p.work.launched import MOST_THREADS
 
 
@@ -38,6 +44,11 @@ def check_inputs(*paths: str | None, expected: str = "") -> None:
 
 def file_of(json_path: str | None) -> str | None:
     return None if json_path == "-" else json_path
+
+
+def say_taken(path: str, content: Scene | LineCloud | PlaneCloud | PermutedCloud, arguments: Namespace) -> None:
+    """Say what a file was taken for, on stdout unless that is for the figures."""
+    print(taken_for(path, content, arguments.columns), file=sys.stderr if arguments.json == "-" else sys.stdout)
 
 
 @contextmanager

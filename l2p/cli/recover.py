@@ -16,7 +16,7 @@ from jaxtyping import Int
 
 from l2p.cli.expectation import expectation, expected_within, map_spacing
 from l2p.cli.flags import settings_of
-from l2p.cli.outputs import check_attack, check_inputs, check_outputs, figures_file, file_of, set_threads
+from l2p.cli.outputs import check_attack, check_inputs, check_outputs, figures_file, file_of, say_taken, set_threads
 from l2p.errors import InputError
 from l2p.io.colmap import check_ids, check_model_output, save_recovered_model
 from l2p.io.hidden_files import load_hidden
@@ -234,7 +234,11 @@ def _recover_inputs(
 ) -> tuple[list[LineCloud | PlaneCloud | PermutedCloud], Int[np.ndarray, " lines"] | None]:
     """Read the releases, without ignored attributes, and, for a COLMAP model, the point id behind each line of the
     first."""
-    releases = [_named(load_hidden(path), arguments.scheme).without(arguments.ignore) for path in arguments.lines]
+    releases = []
+    for path in arguments.lines:
+        hidden = load_hidden(path, arguments.columns)
+        say_taken(path, hidden, arguments)
+        releases.append(_named(hidden, arguments.scheme).without(arguments.ignore))
     if arguments.model is None:
         return releases, None
     lines = releases[0]

@@ -34,10 +34,16 @@ _LOADERS: dict[type[Any], Callable[..., Any]] = {
 
 
 @overload
-def load(path: str | PathLike[str], *, descriptors: str | PathLike[str] | bool = False) -> Any: ...
+def load(
+    path: str | PathLike[str], *, descriptors: str | PathLike[str] | bool = False, columns: str | None = None
+) -> Any: ...
 @overload
 def load(
-    path: str | PathLike[str], expected: type[Thing], *, descriptors: str | PathLike[str] | bool = False
+    path: str | PathLike[str],
+    expected: type[Thing],
+    *,
+    descriptors: str | PathLike[str] | bool = False,
+    columns: str | None = None,
 ) -> Thing: ...
 
 
@@ -46,6 +52,7 @@ def load(
     expected: type[Any] | None = None,
     *,
     descriptors: str | PathLike[str] | bool = False,
+    columns: str | None = None,
 ) -> Any:
     """Read a scene, hidden map, recovery or truth; the content of the file decides which, not its name.
 
@@ -59,6 +66,9 @@ def load(
     descriptors : path or bool
         For a scene: a file with the descriptors of its points (``docs/formats.md``); True searches beside a COLMAP
         model, and requires them of an npz. By default an npz keeps its own, and a model has none.
+    columns : str, optional
+        For text and npy: what the columns hold, in their order, such as ``"x,y,z,dx,dy,dz"`` or ``"x,y,z,r,g,b"``; by
+        default a header or the numbers tell it.
 
     Raises
     ------
@@ -80,17 +90,17 @@ def load(
         if expected not in (None, Scene):
             raise InputError(f"got descriptors for a {expected.__name__}; expected a Scene")
         return load_described(path, None if descriptors is True else descriptors)[0]
-    if expected is not None:
-        return _LOADERS[expected](path)
     if not isinstance(path, str | PathLike):
         raise InputError(f"got {named(path)}; expected the path of a file or folder")
-    kind = kind_of(path)
+    kind = kind_of(path, columns)
+    if expected is not None:
+        return _LOADERS[expected](path, columns) if columns is not None else _LOADERS[expected](path)
     if kind is Kind.CHECKPOINT:
         raise InputError(f"{path} is {kind.value}; give it to l2p.recover(lines, checkpoint=...)")
     if kind in HIDDEN_MAPS:
-        return load_hidden(path)
+        return load_hidden(path, columns)
     if kind in SCENES:
-        return load_scene(path)
+        return load_scene(path, columns)
     return load_recovery(path) if kind is Kind.RECOVERY else load_truth(path)
 
 

@@ -12,7 +12,7 @@ from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.endings import checked_ending
 from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
-from l2p.io.line_files import appearance_arrays, line_ending, load_lines, save_lines
+from l2p.io.line_files import appearance_arrays, line_ending, load_lines, not_hidden, save_lines
 from l2p.io.npz import Fields, npz_bytes
 from l2p.maps.lines import LineCloud
 from l2p.maps.permuted import PermutedCloud
@@ -25,8 +25,14 @@ VERSION = 1
 _HELD: dict[str, tuple[str, ...]] = {".npz": ("rgb", "descriptor")}
 
 
-def load_hidden(path: str | PathLike[str]) -> LineCloud | PlaneCloud | PermutedCloud:
+def load_hidden(path: str | PathLike[str], columns: str | None = None) -> LineCloud | PlaneCloud | PermutedCloud:
     """Read a hidden map of any type; the content of the file decides which.
+
+    Parameters
+    ----------
+    path : path
+    columns : str, optional
+        What the columns of a text or npy file hold (:func:`l2p.io.line_files.load_lines`).
 
     Raises
     ------
@@ -35,15 +41,14 @@ def load_hidden(path: str | PathLike[str]) -> LineCloud | PlaneCloud | PermutedC
     InputError
         If it is damaged or holds no hidden map; the message names the file.
     """
-    kind = kind_of(path)
+    kind = kind_of(path, columns)
     if kind is Kind.PLANES:
         return load_planes(path)
     if kind is Kind.PERMUTED:
         return load_permuted(path)
     if kind not in LINE_CLOUDS:
-        wanted = "a line cloud or another hidden map (make one with l2p lift)"
-        raise InputError(f"{path} is {kind.value}; expected {wanted}")
-    return load_lines(path)
+        raise InputError(f"{path} {not_hidden(path, kind, columns)}")
+    return load_lines(path, columns)
 
 
 def load_planes(path: str | PathLike[str]) -> PlaneCloud:

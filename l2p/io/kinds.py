@@ -10,6 +10,8 @@ from pathlib import Path
 
 from l2p.errors import InputError
 from l2p.io.npz import npz_keys
+from l2p.io.other_lines import holds_lines, missing
+from l2p.io.table_files import table_layout
 
 #: Bytes read from the start of a file: enough for the header of a PLY file and the first records of a text file.
 _HEAD_BYTES = 65536
@@ -24,10 +26,14 @@ class Kind(Enum):
     SCENE_MODEL = "a COLMAP model"
     SCENE_PLY = "a point cloud (PLY)"
     SCENE_NPZ = "a scene (npz)"
+    SCENE_TEXT = "a point cloud (text)"
+    SCENE_ARRAY = "a point cloud (npy)"
     LINES_NPZ = "a line cloud (npz)"
     LINES_PLY = "a line cloud (PLY)"
     LINES_OBJ = "a line cloud (OBJ)"
     LINES_TEXT = "a line cloud (text)"
+    LINES_ARRAY = "a line cloud (npy)"
+    LINES_FOREIGN = "a line cloud of another tool (npz)"
     PLANES = "a plane cloud (npz)"
     PERMUTED = "a permuted cloud (npz)"
     RECOVERY = "a recovery (npz)"
@@ -35,8 +41,10 @@ class Kind(Enum):
     CHECKPOINT = "a checkpoint (safetensors)"
 
 
-SCENES = (Kind.SCENE_MODEL, Kind.SCENE_PLY, Kind.SCENE_NPZ)
-LINE_CLOUDS = (Kind.LINES_NPZ, Kind.LINES_PLY, Kind.LINES_OBJ, Kind.LINES_TEXT)
+#: Rows of numbers: columns of points or of lines.
+TABLES = (Kind.SCENE_TEXT, Kind.SCENE_ARRAY, Kind.LINES_TEXT, Kind.LINES_ARRAY)
+SCENES = tuple(kind for kind in Kind if kind.name.startswith("SCENE_"))
+LINE_CLOUDS = tuple(kind for kind in Kind if kind.name.startswith("LINES_"))
 #: What schemes publish.
 HIDDEN_MAPS = (*LINE_CLOUDS, Kind.PLANES, Kind.PERMUTED)
 
@@ -51,8 +59,14 @@ _NPZ_KINDS = (
 )
 
 
-def kind_of(path: str | PathLike[str]) -> Kind:
+def kind_of(path: str | PathLike[str], columns: str | None = None) -> Kind:
     """Find the kind of a file or folder from its content, not from its name.
+
+    Parameters
+    ----------
+    columns : str, optional
+        What the columns of a text or npy file hold (``--columns``); refused for other files. A table that is malformed
+        or undecided counts as lines: their reader says what is wrong.
 
     Raises
     ------
@@ -61,6 +75,14 @@ def kind_of(path: str | PathLike[str]) -> Kind:
     InputError
         If it is empty, or of no kind that l2p reads.
     """
+    kind = _kind_of(path)
+    if columns is not None and kind not in TABLES:
+        raise InputError(f"got --columns for {path}, which is {kind.value}; expected it for text or npy only")
+    return _table_kind(path, kind, columns) if kind in TABLES else kind
+
+
+def _kind_of(path: str | PathLike[str]) -> Kind:
+    """The kind; of rows of numbers whether they are text or npy only."""
     if not os.fspath(path):
         raise InputError("got an empty path; expected the path of a file or folder")
     if not os.path.lexists(path):
@@ -94,20 +116,31 @@ def _folder_kind(path: Path) -> Kind:
 
 def _npz_kind(path: str | PathLike[str]) -> Kind:
     keys = npz_keys(path)
-    for kind, needed in _NPZ_KINDS:
-        if needed <= keys:
-            return kind
+    found = next((kind for kind, needed in _NPZ_KINDS if needed <= keys), None)
+    if found in (Kind.LINES_NPZ, Kind.SCENE_NPZ, None) and not {"direction", "moment", "scheme", "version"} <= keys:
+        found = Kind.LINES_FOREIGN if holds_lines(keys) else found
+    if found is not None:
+        return found
     names = ", ".join(sorted(keys)[:8]) or "nothing"
-    raise InputError(
-        f"{path} holds {names}; expected direction and moment (a line cloud), normal and offset (planes), permuted "
-        "(permuted points) or xyz (a scene, a recovery, a truth)"
-    )
+    raise InputError(f"{path} holds {names}; {missing(keys)}")
+
+
+def _table_kind(path: str | PathLike[str], kind: Kind, columns: str | None) -> Kind:
+    """Whether rows of numbers are points or lines."""
+    text = kind is Kind.LINES_TEXT
+    try:
+        lines = table_layout(path, columns).are_lines
+    except InputError:
+        lines = True
+    if lines:
+        return kind
+    return Kind.SCENE_TEXT if text else Kind.SCENE_ARRAY
 
 
 def _text_kind(path: str | PathLike[str], head: bytes) -> Kind:
     if head.startswith(b"\x93NUMPY"):
-        raise InputError(f"{path} is a bare npy array; expected an npz with named arrays (numpy.savez)")
-    if b"\0" in head:
+        return Kind.LINES_ARRAY
+    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(f"{path} is neither npz, PLY, OBJ nor text; expected one of these")
     records = {line.split(None, 1)[0] for line in head.splitlines() if line.strip()}
     return Kind.LINES_OBJ if records & {b"v", b"l"} else Kind.LINES_TEXT

@@ -1,9 +1,10 @@
-"""Files of line clouds: the npz of ``docs/formats.md``, PLY and OBJ line sets, and text of point + direction."""
+"""Files of line clouds: the npz of ``docs/formats.md``, PLY and OBJ line sets, rows of numbers, other tools' npz."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Collection
+from functools import partial
 from os import PathLike
 from typing import Any
 
@@ -13,10 +14,12 @@ from jaxtyping import Float, Int
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.endings import checked_ending
-from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
+from l2p.io.kinds import LINE_CLOUDS, SCENES, TABLES, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
+from l2p.io.other_lines import read_other_lines
 from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb
-from l2p.io.text_lines import read_obj_segments, read_text_rows
+from l2p.io.table_files import FOREIGN_SCHEME, lines_of_table, no_lines, table_layout
+from l2p.io.text_lines import read_obj_segments
 from l2p.maps.appearance import NO_APPEARANCE, Appearance
 from l2p.maps.lines import LineCloud
 
@@ -27,15 +30,19 @@ LINE_VERSION = 1
 #: descriptor that other programs would read.
 HELD: dict[str, tuple[str, ...]] = {".npz": ("rgb", "descriptor"), ".ply": ("rgb",), ".obj": ()}
 
-#: Scheme of line sets from other programs, which do not state how their directions were drawn.
-FOREIGN_SCHEME = "unknown"
-
 #: Half the length of a drawn line, in units of the median distance of the lines from their centre.
 HALF_LENGTH = 3.0
 
 
-def load_lines(path: str | PathLike[str]) -> LineCloud:
-    """Read a line cloud, whatever the file name: npz, PLY or OBJ line set, text of point + direction.
+def load_lines(path: str | PathLike[str], columns: str | None = None) -> LineCloud:
+    """Read a line cloud, whatever the file name: npz, PLY or OBJ line set, rows of numbers (text, npy).
+
+    Parameters
+    ----------
+    path : path
+    columns : str, optional
+        What the columns of a text or npy file hold, such as ``x,y,z,dx,dy,dz``; by default its header or its numbers
+        tell it.
 
     Raises
     ------
@@ -44,14 +51,16 @@ def load_lines(path: str | PathLike[str]) -> LineCloud:
     InputError
         If it is damaged, of another kind, or its lines are invalid; the message names the file.
     """
-    kind = kind_of(path)
+    kind = kind_of(path, columns)
     if kind not in LINE_CLOUDS:
-        raise InputError(f"{path} is {kind.value}; expected a line cloud (make one with l2p lift)")
+        raise InputError(f"{path} {not_hidden(path, kind, columns)}")
     readers = {
         Kind.LINES_NPZ: _read_npz,
         Kind.LINES_PLY: _read_ply,
         Kind.LINES_OBJ: _read_obj,
-        Kind.LINES_TEXT: _read_text,
+        Kind.LINES_TEXT: partial(lines_of_table, columns=columns),
+        Kind.LINES_ARRAY: partial(lines_of_table, columns=columns),
+        Kind.LINES_FOREIGN: read_other_lines,
     }
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # overflows are refused as not finite
@@ -62,6 +71,14 @@ def load_lines(path: str | PathLike[str]) -> LineCloud:
     if len(cloud) == 0:
         raise InputError(f"{path} has no lines; expected at least one")
     return cloud
+
+
+def not_hidden(path: str | PathLike[str], kind: Kind, columns: str | None = None) -> str:
+    """Say that a file of this kind holds no line cloud or other hidden map, as the end of a sentence."""
+    if kind in TABLES:
+        return no_lines(path, table_layout(path, columns))
+    made = f"hide the points first with l2p lift {path}" if kind in SCENES else "make one with l2p lift"
+    return f"is {kind.value}; expected a line cloud or another hidden map: {made}"
 
 
 def save_lines(cloud: LineCloud, path: str | PathLike[str], *, overwrite: bool = False) -> None:
@@ -158,11 +175,6 @@ def _read_ply(path: str | PathLike[str]) -> LineCloud:
 
 def _read_obj(path: str | PathLike[str]) -> LineCloud:
     return _through_segments(path, *read_obj_segments(path), None)
-
-
-def _read_text(path: str | PathLike[str]) -> LineCloud:
-    rows = read_text_rows(path)
-    return LineCloud.through(rows[:, :3], rows[:, 3:], scheme=FOREIGN_SCHEME)
 
 
 def _through_segments(

@@ -111,6 +111,15 @@ class Fields:
         self.path = path
         self._arrays = read_npz(path, names)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the arrays that the file has."""
+        return tuple(self._arrays)
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Shape of an array that the file has."""
+        return self._arrays[name].shape
+
     def take(
         self, name: str, kinds: str, shape: tuple[int | None, ...], dtype: type[np.generic] | None = None
     ) -> np.ndarray:

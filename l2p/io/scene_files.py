@@ -12,11 +12,12 @@ from l2p.errors import InputError
 from l2p.io.atomic import atomic_file
 from l2p.io.colmap import read_model, scene_of_model
 from l2p.io.endings import checked_ending
-from l2p.io.kinds import HIDDEN_MAPS, Kind, kind_of
+from l2p.io.kinds import HIDDEN_MAPS, TABLES, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
 from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb, point_records
 from l2p.io.point_text import ENDINGS as TEXT
 from l2p.io.point_text import text_bytes
+from l2p.io.table_files import scene_of_table
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
 
@@ -31,8 +32,15 @@ HELD: dict[str, tuple[str, ...]] = {
 TRUTH_VERSION = 2
 
 
-def load_scene(path: str | PathLike[str]) -> Scene:
-    """Read a scene: a COLMAP model folder (bin or txt), a PLY, or an npz with ``xyz``.
+def load_scene(path: str | PathLike[str], columns: str | None = None) -> Scene:
+    """Read a scene: a COLMAP model folder (bin or txt), a PLY, an npz with ``xyz``, or rows of numbers (text, npy).
+
+    Parameters
+    ----------
+    path : path
+    columns : str, optional
+        What the columns of a text or npy file hold, such as ``x,y,z,r,g,b``; by default its header or its numbers tell
+        it.
 
     Raises
     ------
@@ -41,7 +49,9 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     InputError
         If it is damaged, of another kind, has no points, or has points that are not finite.
     """
-    kind = kind_of(path)
+    kind = kind_of(path, columns)
+    if kind in TABLES:
+        return checked_scene(path, scene_of_table(path, columns))
     if kind in HIDDEN_MAPS or kind is Kind.CHECKPOINT:
         raise InputError(f"{path} is {kind.value}; expected a scene: a COLMAP model folder, a PLY or an npz with xyz")
     if kind is Kind.SCENE_MODEL:

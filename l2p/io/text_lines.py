@@ -1,4 +1,4 @@
-"""Lines as text: OBJ records, and rows of point + direction."""
+"""Lines as text: the records of an OBJ."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from l2p.errors import InputError
+from l2p.io.text_tables import shown
 
 
 def read_obj_segments(
@@ -34,28 +35,8 @@ def read_obj_segments(
                 ends.append((_vertex(start, len(vertices)), _vertex(stop, len(vertices))))
         except (ValueError, IndexError) as error:
             expected = "three numbers after v" if words[0] == "v" else "exactly two vertices after l"
-            raise InputError(f"{path} line {number}: got {_shown(words)}; expected {expected}") from error
+            raise InputError(f"{path} line {number}: got {shown(words)}; expected {expected}") from error
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(ends, dtype=np.int64).reshape(-1, 2)
-
-
-def read_text_rows(path: str | PathLike[str]) -> Float[np.ndarray, "lines 6"]:
-    """Read rows of x y z dx dy dz; InputError for the first row that is malformed.
-
-    Separators are blanks, commas or semicolons; ``#`` comments and one header row are skipped.
-    """
-    rows: list[list[float]] = []
-    header_allowed = True
-    for number, words in _records(path):
-        values = [_number(word) for word in words]
-        if header_allowed and all(value is None for value in values):
-            header_allowed = False
-            continue
-        header_allowed = False
-        if len(values) != 6 or None in values:
-            expected = "six numbers, a point and a direction"
-            raise InputError(f"{path} line {number}: got {_shown(words)}; expected {expected}")
-        rows.append(values)  # type: ignore[arg-type]
-    return np.array(rows, dtype=np.float64).reshape(-1, 6)
 
 
 def _records(path: str | PathLike[str]) -> list[tuple[int, list[str]]]:
@@ -65,7 +46,7 @@ def _records(path: str | PathLike[str]) -> list[tuple[int, list[str]]]:
             text = file.read().decode("utf-8-sig")
         except UnicodeDecodeError as error:
             raise InputError(f"{path} is neither npz, PLY, OBJ nor text; expected one of these") from error
-    lines = (line.split("#", 1)[0].replace(",", " ").replace(";", " ").split() for line in text.split("\n"))
+    lines = (line.split("#", 1)[0].split() for line in text.split("\n"))
     return [(number, words) for number, words in enumerate(lines, start=1) if words]
 
 
@@ -76,15 +57,3 @@ def _vertex(word: str, count: int) -> int:
         raise ValueError(f"no vertex {index}")
     # A vertex may come after the line that names it, so indices above ``count`` are checked later.
     return index - 1 if index > 0 else count + index
-
-
-def _number(word: str) -> float | None:
-    try:
-        return float(word)
-    except ValueError:
-        return None
-
-
-def _shown(words: list[str]) -> str:
-    line = " ".join(words)
-    return repr(line if len(line) <= 60 else line[:57] + "...")

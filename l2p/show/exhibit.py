@@ -54,20 +54,26 @@ class Exhibit:
     __repr__ = short_repr
 
     @classmethod
-    def load(cls, path: str | PathLike[str]) -> Exhibit:
+    def load(cls, path: str | PathLike[str], columns: str | None = None) -> Exhibit:
         """Load the layers of a file: a scene, a truth, a line cloud or a recovery.
+
+        Parameters
+        ----------
+        path : path
+        columns : str, optional
+            What the columns of a text or npy file hold.
 
         Raises
         ------
         FileNotFoundError, InputError
             As for the reader of that kind of file; a checkpoint cannot be shown.
         """
-        kind = kind_of(path)
+        kind = kind_of(path, columns)
         if kind in LINE_CLOUDS:
-            lines = load_lines(path)
+            lines = load_lines(path, columns)
             return cls(lines=lines, rgb=lines.rgb)
         if kind in SCENES:
-            scene = load_scene(path)
+            scene = load_scene(path, columns)
             return cls(points=scene.xyz, rgb=scene.rgb, camera_centers=scene.camera_centers)
         if kind is Kind.TRUTH:
             return cls(points=load_truth(path).xyz)

@@ -21,12 +21,14 @@ from l2p.io.hidden_files import load_hidden
 from l2p.io.kinds import HIDDEN_MAPS, SCENES, Kind, kind_of
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
+from l2p.io.taken_for import taken_for
 from l2p.judging.measure import Form, figures
 from l2p.judging.scores import Scores
 from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
 from l2p.maps.permuted import PermutedCloud
 from l2p.maps.planes import PlaneCloud
+from l2p.maps.scene import Scene
 from l2p.schemes.recognition import recognise
 from l2p.utility.localization import Localization
 
@@ -86,15 +88,21 @@ def print_localization(found: Localization) -> None:
     console().print(table)
 
 
-def print_info(path: str | PathLike[str]) -> None:
+def print_info(path: str | PathLike[str], columns: str | None = None) -> None:
     """Print a description of a file to stdout; for a checkpoint, also its results on the held-back clouds.
+
+    Parameters
+    ----------
+    path : path
+    columns : str, optional
+        What the columns of a text or npy file hold (``--columns``).
 
     Raises
     ------
     FileNotFoundError, InputError
         As for the reader of that kind of file.
     """
-    kind = kind_of(path)
+    kind = kind_of(path, columns)
     table = Table("what", kind.value, title=escape(Path(path).name))
     tables = [table]
     if kind is Kind.CHECKPOINT:
@@ -104,7 +112,7 @@ def print_info(path: str | PathLike[str]) -> None:
         rows = [*_describe_checkpoint(checkpoint), ("digest", digest(path))]
         tables += _held_back(checkpoint.facts.get("results"))
     else:
-        rows = _describe(path, kind)
+        rows = _describe(path, kind, columns)
     for what, value in rows:
         table.add_row(what, escape(value))
     for each in tables:
@@ -122,16 +130,15 @@ def console() -> Console:
     return Console(file=sys.stdout, width=None if sys.stdout.isatty() else FILE_WIDTH)
 
 
-def _describe(path: str | PathLike[str], kind: Kind) -> Sequence[tuple[str, str]]:
-    if kind in HIDDEN_MAPS:
-        return _describe_hidden(path)
-    if kind in SCENES:
-        return _describe_scene(path)
+def _describe(path: str | PathLike[str], kind: Kind, columns: str | None) -> Sequence[tuple[str, str]]:
+    if kind in HIDDEN_MAPS or kind in SCENES:
+        content = load_hidden(path, columns) if kind in HIDDEN_MAPS else load_scene(path, columns)
+        taken = ("taken for", taken_for(path, content, columns).split(": ", 1)[1])
+        return [taken, *(_describe_scene(path, content) if isinstance(content, Scene) else _describe_hidden(content))]
     return _describe_recovery(path) if kind is Kind.RECOVERY else _describe_truth(path)
 
 
-def _describe_hidden(path: str | PathLike[str]) -> list[tuple[str, str]]:
-    cloud = load_hidden(path)
+def _describe_hidden(cloud: LineCloud | PlaneCloud | PermutedCloud) -> list[tuple[str, str]]:
     known = _describe_appearance(cloud.appearance)
     names = " and ".join(word for word, value in known if value != "no")
     what = element_name(type(cloud))
@@ -149,8 +156,7 @@ def element_name(published: type[Any]) -> str:
     return {LineCloud: "lines", PlaneCloud: "planes", PermutedCloud: "permuted points"}[published]
 
 
-def _describe_scene(path: str | PathLike[str]) -> list[tuple[str, str]]:
-    scene = load_scene(path)
+def _describe_scene(path: str | PathLike[str], scene: Scene) -> list[tuple[str, str]]:
     cameras = "unknown" if scene.camera_centers is None else str(len(scene.camera_centers))
     tracks = "unknown" if scene.track_length is None else f"{np.median(scene.track_length):g} images (median)"
     return [
