@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from l2p.errors import InputError
 from l2p.io.descriptors import BESIDE, with_descriptors
+from l2p.io.colmap_folders import is_model
 from l2p.io.kinds import SCENES, kind_of
 from l2p.io.scene_files import load_scene
 from l2p.judging.accuracy import spacing
@@ -130,6 +131,8 @@ def _from_files(path: Path) -> list[SceneSource]:
 
 
 def _is_scene(path: Path) -> bool:
+    if path.is_dir():
+        return is_model(path)
     try:
         return kind_of(path) in SCENES
     except InputError:
