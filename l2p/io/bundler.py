@@ -32,8 +32,8 @@ def read_bundler(path: str | PathLike[str]) -> Scene:
     """
     lines = NumberedLines(path)
     cameras, points = lines.counts(2, "the numbers of cameras and points")[:2]
-    of_cameras = lines.take(_OF_CAMERA * cameras, f"{cameras} cameras")
-    of_points = lines.take(_OF_POINT * points, f"{points} points")
+    of_cameras = lines.take(_OF_CAMERA * cameras, f"{cameras} camera(s)")
+    of_points = lines.take(_OF_POINT * points, f"{points} point(s)")
     focal = lines.numbers(of_cameras[0::5], slice(0, 1), 1, "a focal length")[:, 0]
     rotation = np.stack(
         [lines.numbers(of_cameras[row::5], slice(0, 3), 3, "a row of a rotation") for row in (1, 2, 3)], axis=1

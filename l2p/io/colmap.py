@@ -117,7 +117,7 @@ def scene_of_model(model: Any) -> Scene:
         xyz=np.array([point.xyz for point in points], dtype=np.float64).reshape(-1, 3),
         rgb=np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3),
         error=error,
-        track_length=np.array([point.track.length() for point in points], dtype=np.int32),
+        track_length=_known(np.array([point.track.length() for point in points], dtype=np.int32)),
         ids=_signed(np.array(ids, dtype=np.uint64)),
         camera_centers=np.array(centers, dtype=np.float64).reshape(-1, 3),
     )
@@ -130,7 +130,7 @@ def _scene_of_points(file: Path) -> Scene:
         xyz=table.xyz,
         rgb=table.rgb,
         error=table.error,
-        track_length=table.track_length,
+        track_length=None if table.track_length is None else _known(table.track_length),
         ids=_signed(table.ids),
         camera_centers=_centers_beside(file),
     )
@@ -148,6 +148,11 @@ def _centers_beside(file: Path) -> Float[np.ndarray, "cameras 3"] | None:
                 continue
             return camera_centers(records)
     return None
+
+
+def _known(lengths: Int[np.ndarray, " points"]) -> Int[np.ndarray, " points"] | None:
+    """Track lengths; None if no point has a track, as where points are from depth maps."""
+    return lengths if lengths.any() else None
 
 
 def _signed(ids: UInt64[np.ndarray, " points"]) -> Int[np.ndarray, " points"] | None:

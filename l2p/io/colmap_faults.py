@@ -23,6 +23,7 @@ from l2p.io.colmap_tables import (
     point_records,
     read_points,
     shown,
+    signed,
 )
 
 #: A record of cameras.bin before the parameters: id, model, width, height.
@@ -135,7 +136,7 @@ def _tracks_of(file: Path, content: bytes) -> _Tracks:
                     f"line {number} has {min(len(words), 8) + len(track)} words; expected POINT3D_ID, X, Y, Z, R, G, "
                     "B, ERROR and pairs of IMAGE_ID, POINT2D_IDX"
                 )
-            ids.append(int(words[0]))
+            ids.append(signed(int(words[0])))
             parts.append(np.array(track, dtype=np.bytes_).astype(np.int64).reshape(-1, 2))
             lines.append(number)
     else:
@@ -152,7 +153,7 @@ def _tracks_of(file: Path, content: bytes) -> _Tracks:
 
 
 def _contradiction(images: Path, records: list[ImageRecord], points: Path, tracks: _Tracks) -> str | None:
-    """The first track or keypoint that refers to nothing, or is not referred to."""
+    """The first track that the images contradict, or keypoint whose point is not there."""
     by_id = {record.image: record for record in records}
     for (point, image, keypoint), line in zip(tracks.rows.tolist(), tracks.line.tolist(), strict=True):
         seen = by_id.get(image)
@@ -170,14 +171,12 @@ def _contradiction(images: Path, records: list[ImageRecord], points: Path, track
                 f"{'has no point' if keypoints[keypoint] == -1 else f'is of point {keypoints[keypoint]}'} in "
                 f"{images.name}"
             )
-    tracked = {(image, keypoint) for _, image, keypoint in tracks.rows.tolist()}
     for record in records:
         for keypoint, point in enumerate(_points_of(record).tolist()):
-            if point != -1 and (record.image, keypoint) not in tracked:
-                lacks = "whose track lacks it" if point in tracks.points else f"which {points.name} lacks"
+            if point != -1 and point not in tracks.points:
                 return (
                     f"{_at(images, record.line)}image {record.image} ({record.name}) has keypoint {keypoint} of point "
-                    f"{point}, {lacks}"
+                    f"{point}, which {points.name} lacks"
                 )
     return None
 

@@ -200,6 +200,11 @@ def camera_centers(records: list[ImageRecord]) -> Float[np.ndarray, "cameras 3"]
     return centers
 
 
+def signed(number: int) -> int:
+    """An unsigned id of 64 bits as a signed one, as arrays of observations hold them."""
+    return (number & _ID_MASK) - ((number & _ID_MASK) >> 63 << 64)
+
+
 def shown(line: bytes) -> str:
     """A line of a text for a message, cut short."""
     text = " ".join(line[:200].decode("utf-8", errors="replace").split())
@@ -259,6 +264,6 @@ def _keypoint_points(line: bytes) -> Int[np.ndarray, " keypoints"] | None:
     try:
         for word in words[0:2]:
             float(word)
-        return np.array([int(word) for word in words[2::3]], dtype=np.int64).reshape(-1)
+        return np.array([signed(int(word)) for word in words[2::3]], dtype=np.int64).reshape(-1)
     except (ValueError, OverflowError):
         return None

@@ -39,9 +39,9 @@ def read_nvm(path: str | PathLike[str]) -> Scene:
         cameras = lines.counts(1, "the number of cameras of a model, or 0")[0]
         if cameras == 0:
             break
-        centers = _centers(lines, lines.take(cameras, f"{cameras} cameras"), by_matrix=header[0].endswith(b"R9T"))
+        centers = _centers(lines, lines.take(cameras, f"{cameras} camera(s)"), by_matrix=header[0].endswith(b"R9T"))
         points = lines.counts(1, "the number of points of the model")[0]
-        models.append(_model(lines, lines.take(points, f"{points} points"), centers))
+        models.append(_model(lines, lines.take(points, f"{points} point(s)"), centers))
     if not models:
         raise InputError(f"{path} has no model; expected cameras and points (VisualSFM: save the reconstruction)")
     largest = max(models, key=len)

@@ -168,9 +168,7 @@ def _json(path: str | PathLike[str], head: bytes) -> str | None:
         for what, keys in _JSON:
             if any(key in head for key in keys):
                 return what
-        raise _refusal(
-            path, "JSON of no map that l2p knows", "expected an OpenSfM, OpenMVG, Meshroom or nerfstudio file"
-        )
+        raise InputError(f"{path} is JSON of no map that l2p knows; expected OpenSfM, OpenMVG, Meshroom or nerfstudio")
     return None
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from l2p.errors import InputError
-from l2p.io.descriptors import BESIDE, with_descriptors
 from l2p.io.colmap_folders import is_model
+from l2p.io.descriptors import BESIDE, with_descriptors
 from l2p.io.kinds import SCENES, kind_of
 from l2p.io.scene_files import load_scene
 from l2p.judging.accuracy import spacing
