@@ -27,7 +27,7 @@ class Kind(Enum):
     SCENE_PLY = "a point cloud (PLY)"
     SCENE_NPZ = "a scene (npz)"
     SCENE_OBJ = "a point cloud (OBJ)"
-    SCENE_TEXT = signatures.POINT_TEXT
+    SCENE_XYZ = signatures.XYZ_TEXT
     SCENE_PCD = signatures.PCD
     SCENE_POINTS = signatures.COLMAP_POINTS
     SCENE_BUNDLER = signatures.BUNDLER

@@ -21,7 +21,7 @@ OPENSFM = "an OpenSfM map"
 OPENMVG = "an OpenMVG map"
 MESHROOM = "a Meshroom map"
 NERFSTUDIO = "a nerfstudio data set"
-POINT_TEXT = "a point cloud (text)"
+XYZ_TEXT = "a point cloud (xyz, pts)"
 PCD = "a point cloud (PCD)"
 
 #: Endings of texts of points: nothing in such a file tells points with normals from lines.
@@ -145,7 +145,7 @@ def foreign(path: str | PathLike[str], head: bytes) -> str | None:
     if ending in _REFUSED_ENDINGS:
         raise _refusal(path, *_REFUSED_ENDINGS[ending])
     if ending in POINT_ENDINGS and b"\0" not in head:
-        return POINT_TEXT
+        return XYZ_TEXT
     if head.lstrip()[:1] == b"<":
         raise _refusal(path, "a web page or XML document", "give a map or a line cloud")
     return _json(path, head)

@@ -229,7 +229,7 @@ SHARES = RGB / 255
 )
 def test_points_as_text(tmp_path, name, content, coloured):
     (tmp_path / name).write_bytes(content.encode())
-    assert kind_of(tmp_path / name) is Kind.SCENE_TEXT
+    assert kind_of(tmp_path / name) is Kind.SCENE_XYZ
     scene = load_scene(tmp_path / name)
     np.testing.assert_array_equal(scene.xyz, XYZ)
     np.testing.assert_array_equal(scene.rgb, RGB if coloured else None)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from l2p.errors import InputError
-from l2p.io.colours import as_rgb
+from l2p.io.rgb_bytes import as_rgb
 from l2p.maps.scene import Scene
 
 _PLACE = (("x", "y", "z"), ("//x", "y", "z"))
@@ -20,7 +20,7 @@ _COLOUR = (("r", "g", "b"), ("red", "green", "blue"))
 _UNIT = 0.02
 
 
-def read_point_text(path: str | PathLike[str]) -> Scene:
+def read_xyz(path: str | PathLike[str]) -> Scene:
     """Read rows of x y z, and what may follow them: an intensity, colours, normals.
 
     Separators are blanks, commas or semicolons. Comments (``#``, ``//``) and one row of names are skipped, as are
