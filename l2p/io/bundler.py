@@ -6,8 +6,8 @@ from os import PathLike
 
 import numpy as np
 
+from l2p.io.colours import byte_rgb
 from l2p.io.numbered_lines import NumberedLines
-from l2p.io.rgb_bytes import byte_rgb
 from l2p.maps.scene import Scene
 
 # Lines of a camera (focal length and distortion, rotation in three, translation), and of a point (place, colour,

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8, UInt64
 
 from l2p.errors import InputError
-from l2p.io.rgb_bytes import byte_rgb
+from l2p.io.colours import byte_rgb
 from l2p.io.signatures import refuse_pointer
 
 #: A record of points3D.bin, before its track.

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from l2p.errors import InputError, warn
+from l2p.io.colours import byte_rgb
 from l2p.io.ply import read_ply
-from l2p.io.rgb_bytes import byte_rgb
 from l2p.maps.scene import Scene
 
 # Point cloud beside transforms.json that does not name one.

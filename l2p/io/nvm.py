@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from l2p.errors import InputError, warn
+from l2p.io.colours import byte_rgb
 from l2p.io.numbered_lines import Line, NumberedLines
-from l2p.io.rgb_bytes import byte_rgb
 from l2p.maps.scene import Scene
 
 # Numbers after the name of a camera with a matrix: focal length, pose, distortion, 0. The name may have blanks.

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from l2p.errors import InputError, warn
+from l2p.io.colours import as_rgb
 from l2p.io.open3d import load_open3d
-from l2p.io.rgb_bytes import as_rgb
 from l2p.maps.scene import Scene
 
 # Largest number of points that a byte of a compressed file may stand for.

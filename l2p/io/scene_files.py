@@ -13,6 +13,7 @@ from l2p.errors import InputError, warn
 from l2p.io.atomic import atomic_file
 from l2p.io.bundler import read_bundler
 from l2p.io.colmap import read_scene
+from l2p.io.colours import as_rgb
 from l2p.io.endings import checked_ending
 from l2p.io.json_maps import read_meshroom, read_nerfstudio, read_openmvg, read_opensfm
 from l2p.io.kinds import HIDDEN_MAPS, Kind, kind_of
@@ -21,7 +22,6 @@ from l2p.io.nvm import read_nvm
 from l2p.io.obj_points import read_obj_points
 from l2p.io.pcd import read_pcd
 from l2p.io.ply import ply_bytes, point_records, read_ply
-from l2p.io.rgb_bytes import as_rgb
 from l2p.io.xyz_files import read_xyz
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth

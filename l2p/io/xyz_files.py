@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from l2p.errors import InputError
-from l2p.io.rgb_bytes import as_rgb
+from l2p.io.colours import as_rgb
 from l2p.maps.scene import Scene
 
 _PLACE = (("x", "y", "z"), ("//x", "y", "z"))
