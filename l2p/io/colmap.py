@@ -76,6 +76,8 @@ def read_scene(path: str | PathLike[str]) -> tuple[Scene, Any | None]:
         model = _read_whole(folder)
     except InputError as error:
         scene = _scene_of_points(file)  # first: damaged points are an error
+        if len(scene) == 0:
+            raise InputError(f"{folder} is not a complete COLMAP model: {error}; export it again") from error
         warn(f"{folder}: only the points are read, without tracks, since {error}")
         return scene, None
     return scene_of_model(model), model

@@ -87,7 +87,7 @@ class ImageRecord:
 
 
 def read_points(path: str | PathLike[str]) -> PointTable:
-    """Read points3D.bin or points3D.txt; its content decides which it is.
+    """Read points3D.bin or points3D.txt; under another name, the content decides which it is.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def read_points(path: str | PathLike[str]) -> PointTable:
     """
     content = Path(path).read_bytes()
     refuse_pointer(path, content)
-    if b"\0" in content[:8]:
+    if Path(path).suffix == ".bin" or b"\0" in content[:8]:
         return _points_of_records(path, content)
     return _points_of_lines(path, content)
 

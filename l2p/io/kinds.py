@@ -146,4 +146,4 @@ def _text_kind(path: str | PathLike[str], head: bytes) -> Kind:
 def _has_lines(path: str | PathLike[str]) -> bool:
     """Whether an OBJ has lines, which may follow all of its vertices."""
     with open(path, "rb") as file:
-        return any(line.startswith((b"l ", b"l\t")) for line in file)
+        return any(line.split(None, 1)[:1] == [b"l"] for line in file)

@@ -132,18 +132,20 @@ def test_the_small_reader_reads_what_pycolmap_reads(tmp_path, write_model, text)
     np.testing.assert_allclose(alone.camera_centers, whole.camera_centers, atol=1e-12)
 
 
+@pytest.mark.parametrize("text", [False, True])
 @pytest.mark.parametrize("table", ["cameras", "images"])
 @pytest.mark.parametrize("share", [None, 0.0, 0.6])
-def test_damaged_and_missing_binary_tables_leave_the_points(tmp_path, write_model, table, share):
-    folder = write_model(tmp_path / "model")
-    whole, file = load_scene(folder), folder / f"{table}.bin"
+def test_damaged_and_missing_tables_leave_the_points(tmp_path, write_model, capfd, text, table, share):
+    folder = write_model(tmp_path / "model", text=text)
+    whole, file = load_scene(folder), folder / f"{table}.{'txt' if text else 'bin'}"
     content = file.read_bytes()
     file.unlink()
     if share is not None:
         file.write_bytes(content[: int(share * len(content))])
-    said = f"{table}.bin is {'missing' if share is None else 'truncated or damaged'}"
-    with pytest.warns(InputWarning, match=said):
+    said = f"{file.name} is missing" if share is None else f"{table}.bin is truncated or damaged"
+    with pytest.warns(InputWarning, match="only the points are read" if text and share is not None else said):
         scene = load_scene(folder)
+    assert capfd.readouterr().err == "", "pycolmap says nothing"
     np.testing.assert_array_equal(scene.xyz, whole.xyz)
     np.testing.assert_array_equal(scene.ids, whole.ids)
 
