@@ -103,8 +103,6 @@ def _of_opensfm(path: str | PathLike[str], data: Any) -> Scene:
     from scipy.spatial.transform import Rotation
 
     several = data if isinstance(data, list) else [data]
-    if not several:
-        raise InputError(f"{path} has no reconstruction; expected at least one")
     largest = max(several, key=lambda each: len(each["points"]))
     if len(several) > 1:
         sizes = ", ".join(f"{len(each['points']):,}" for each in several)

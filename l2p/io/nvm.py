@@ -12,9 +12,6 @@ from l2p.io.colours import byte_rgb
 from l2p.io.numbered_lines import Line, NumberedLines
 from l2p.maps.scene import Scene
 
-# Numbers after the name of a camera with a matrix: focal length, pose, distortion, 0. The name may have blanks.
-_MATRIX = 15
-
 
 def read_nvm(path: str | PathLike[str]) -> Scene:
     """Read the points, colours, track lengths and camera centres of an NVM file.
@@ -33,6 +30,7 @@ def read_nvm(path: str | PathLike[str]) -> Scene:
     translation instead of a quaternion and a centre.
     """
     lines = NumberedLines(path)
+    # The numbers of a camera are taken from the end of its line, since names may have blanks.
     ((_, header),) = lines.take(1, "a header")
     models: list[Scene] = []
     while not lines.at_end():
@@ -53,11 +51,9 @@ def read_nvm(path: str | PathLike[str]) -> Scene:
 
 def _centers(lines: NumberedLines, cameras: list[Line], by_matrix: bool) -> Float[np.ndarray, "cameras 3"]:
     if not by_matrix:
-        return lines.numbers(cameras, slice(-5, -2), 3, "NAME and ten numbers of a camera", finite=False)
-    if cameras and len(cameras[0][1]) <= _MATRIX:
-        raise lines.wrong(cameras[0], "NAME and fifteen numbers of a camera")
-    pose = lines.numbers(cameras, slice(-14, -2), 12, "NAME and fifteen numbers of a camera", finite=False)
-    return -np.einsum("nji,nj->ni", pose[:, :9].reshape(-1, 3, 3), pose[:, 9:])
+        return lines.numbers(cameras, slice(-10, None), 10, "NAME and ten numbers of a camera", finite=False)[:, 5:8]
+    table = lines.numbers(cameras, slice(-15, None), 15, "NAME and fifteen numbers of a camera", finite=False)
+    return -np.einsum("nji,nj->ni", table[:, 1:10].reshape(-1, 3, 3), table[:, 10:13])
 
 
 def _model(lines: NumberedLines, points: list[Line], centers: Float[np.ndarray, "cameras 3"]) -> Scene:

@@ -28,6 +28,7 @@ def read_pcd(path: str | PathLike[str]) -> Scene:
     size, points = Path(path).stat().st_size, _announced(path)
     if points > _MOST_DENSE * size:
         raise InputError(f"{path} is truncated or damaged: it announces {points} points in {size} bytes")
+    _check_rows(path, points)
     open3d = load_open3d(otherwise="convert the file to PLY")
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
         cloud = open3d.io.read_point_cloud(str(path), format="pcd", remove_nan_points=False)
@@ -49,3 +50,14 @@ def _announced(path: str | PathLike[str]) -> int:
     if found is None or re.search(rb"^DATA\s+\w", head, re.MULTILINE) is None:
         raise InputError(f"{path} is truncated or damaged: its header has no POINTS or no DATA; export it again")
     return int(found[1])
+
+
+def _check_rows(path: str | PathLike[str], points: int) -> None:
+    """Refuse text that ends too early: Open3D makes up the rest."""
+    content = Path(path).read_bytes()
+    begin = re.search(rb"^DATA\s+ascii\s*?\n", content[:4096], re.MULTILINE)
+    if begin is None:
+        return
+    rows = [line for line in content[begin.end() :].split(b"\n") if line.strip()]
+    if len(rows) < points or (rows and len(rows[-1].split()) != len(rows[0].split())):
+        raise InputError(f"{path} is truncated or damaged: it announces {points} points, and ends with row {len(rows)}")

@@ -14,7 +14,7 @@ from l2p.errors import InputError
 from l2p.io.colours import as_rgb
 from l2p.maps.scene import Scene
 
-_PLACE = (("x", "y", "z"), ("//x", "y", "z"))
+_PLACE = (("x", "y", "z"),)
 _COLOUR = (("r", "g", "b"), ("red", "green", "blue"))
 # Largest difference from 1 of the lengths of normals, as texts round them.
 _UNIT = 0.02
@@ -34,13 +34,15 @@ def read_xyz(path: str | PathLike[str]) -> Scene:
         For the first line that is no point, or if the file ends before the number of points that it announces.
     """
     content = Path(path).read_bytes().removeprefix(b"\xef\xbb\xbf").translate(bytes.maketrans(b",;\t", b"   "))
-    names = _names(content)
     lines = [
         line
         for line in content.split(b"\n")
         # Counts are single words.
         if len(line.split(None, 1)) > 1 and not line.lstrip().startswith((b"#", b"//"))
-    ][1 if names else 0 :]
+    ]
+    names = _names(content)
+    if lines and not any(_is_number(word) for word in _words(lines[0])):
+        lines = lines[1:]
     table = _table(path, content, lines)
     if table.shape[1] < 3:
         raise InputError(f"{path} has {table.shape[1]} columns; expected x, y, z, and perhaps colours or normals")
@@ -52,10 +54,14 @@ def read_xyz(path: str | PathLike[str]) -> Scene:
 
 
 def _names(content: bytes) -> list[str]:
-    """Names of the columns, in the first line that is not empty; none if that has numbers."""
+    """Names of the columns, in lower case, from the first line that is not empty, which may be a comment, or none."""
     first = next((line for line in content.split(b"\n", 20) if line.strip()), b"")
-    words = first.decode("utf-8", errors="replace").lower().removeprefix("#").removeprefix("//").split()
-    return words if len(words) > 1 and not any(_is_number(word) for word in words) else []
+    words = _words(first.lstrip(b"#/ "))
+    return words if {"x", "y", "z"} <= set(words) else []
+
+
+def _words(line: bytes) -> list[str]:
+    return line.decode("utf-8", errors="replace").lower().split()
 
 
 def _table(path: str | PathLike[str], content: bytes, lines: list[bytes]) -> Float[np.ndarray, "points columns"]:

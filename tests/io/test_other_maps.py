@@ -155,7 +155,7 @@ def test_maps_come_in_with_colours_cameras_and_track_lengths(tmp_path, case):
         ("a.nvm", "NVM_V3\n\n0\n", "has no model; expected cameras and points"),
         ("a.nvm", nvm().replace("b c.jpg 500", "b c.jpg"), "line [0-9]+: got 'b c.jpg 1 0 .*; expected NAME and ten"),
         ("a.json", '[{"points": {}}]', "has no points; expected at least one"),
-        ("a.json", "[]", "has no reconstruction"),
+        ("a.json", "[]", "is JSON of no map that l2p knows"),
         ("a.json", json.dumps(opensfm())[:-9], "is truncated or damaged; expected complete JSON"),
         (
             "a.json",
@@ -237,7 +237,7 @@ def test_points_as_text(tmp_path, name, content, coloured):
 
 @pytest.mark.parametrize("scale", [None, 1, 255])
 def test_vertices_of_an_obj(tmp_path, scale):
-    columns = XYZ if scale is None else np.hstack([XYZ, RGB * scale / 255])
+    columns = XYZ if scale is None else np.hstack([XYZ, RGB.astype(np.float64) * scale / 255])
     text = "".join("v " + " ".join(f"{value:.9g}" for value in row) + "\n" for row in columns.tolist())
     (tmp_path / "a.obj").write_text(f"# a mesh\nmtllib a.mtl\n{text}vn 0 0 1\nf 1 2 3\n")
     assert kind_of(tmp_path / "a.obj") is Kind.SCENE_OBJ
