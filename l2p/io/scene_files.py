@@ -67,7 +67,7 @@ def checked_scene(path: str | PathLike[str], scene: Scene) -> Scene:
     _refuse_out_of_range(path, "points", scene.xyz)
     if scene.camera_centers is None:
         return scene
-    usable = in_range(scene.camera_centers).all(axis=1)
+    usable = np.asarray(in_range(scene.camera_centers).all(axis=1))
     if not usable.all():
         warn(f"{path}: {int((~usable).sum())} of {len(usable)} cameras have a place that is {OUT_OF_RANGE}; left out")
     return replace(scene, camera_centers=scene.camera_centers[usable])

@@ -114,7 +114,7 @@ def _found_rgb(rest: Float[np.ndarray, "points columns"], surely: bool) -> UInt8
     """Colours among the columns after the place, by their numbers."""
     if surely and rest.shape[1] >= 3:
         return as_rgb(rest[:, :3])
-    byte = np.isin(rest, np.arange(256)).all(axis=0) if len(rest) else np.zeros(rest.shape[1], dtype=np.bool_)
+    byte = np.asarray(np.isin(rest, np.arange(256)).all(axis=0) & bool(len(rest)))
     width = rest.shape[1]
     # Beside x y z: r g b; i r g b; nx ny nz r g b.
     for start in dict.fromkeys((0, width - 3, *range(width - 2))):

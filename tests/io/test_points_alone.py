@@ -33,7 +33,9 @@ XYZ = [[0.1, 1e3, -2.5], [0.5, -1.25, 3.0]]
 RGB = [[255, 128, 0], [1, 0, 1]]
 
 
-def written(folder: Path, cameras: str | None = CAMERAS, images: str | None = IMAGES, points: str = POINTS) -> Path:
+def written(
+    folder: Path, cameras: str | None = CAMERAS, images: str | None = IMAGES, points: str | None = POINTS
+) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in (("cameras", cameras), ("images", images), ("points3D", points)):
         if text is not None:
@@ -59,6 +61,7 @@ def test_a_whole_model_is_read_without_a_word(tmp_path):
     np.testing.assert_array_equal(scene.rgb, RGB)
     assert scene.ids is not None and scene.ids.tolist() == [7, 9]
     assert scene.track_length is not None and scene.track_length.tolist() == [2, 2]
+    assert scene.camera_centers is not None
     np.testing.assert_allclose(scene.camera_centers, [[1, 2, 3], [0, 0, 0]], atol=1e-12)
 
 
@@ -119,6 +122,7 @@ def test_images_without_keypoints_and_points_without_tracks_fit_each_other(tmp_p
     points = "".join(" ".join(line.split()[:8]) + "\n" for line in POINTS.split("\n")[1:3])
     scene = points_of(written(tmp_path / "m", images=images, points=points))
     assert scene.track_length is None
+    assert scene.camera_centers is not None
     np.testing.assert_allclose(scene.camera_centers, [[1, 2, 3], [0, 0, 0]], atol=1e-12)
 
 
@@ -129,6 +133,7 @@ def test_the_small_reader_reads_what_pycolmap_reads(tmp_path, write_model, text)
     alone = load_scene(folder / f"points3D.{'txt' if text else 'bin'}")
     for name in ("xyz", "rgb", "error", "track_length", "ids"):
         np.testing.assert_array_equal(getattr(alone, name), getattr(whole, name), err_msg=name, strict=True)
+    assert alone.camera_centers is not None and whole.camera_centers is not None
     np.testing.assert_allclose(alone.camera_centers, whole.camera_centers, atol=1e-12)
 
 
@@ -179,6 +184,7 @@ def test_a_camera_of_two_parameters_in_binary(tmp_path):
     assert "has points3D.bin and points3D.txt; points3D.bin is read" in str(said[0].message)
     assert not any("truncated" in str(each.message) for each in said)
     np.testing.assert_array_equal(scene.xyz, XYZ)
+    assert scene.camera_centers is not None
     np.testing.assert_allclose(scene.camera_centers, [[1, 2, 3]])
 
 
@@ -210,6 +216,7 @@ def test_repeated_ids_are_left_out(tmp_path):
 def test_the_file_of_points_itself(tmp_path, name):
     (tmp_path / "p").write_text(POINTS)
     table = read_points(tmp_path / "p")
+    assert table.error is not None
     if name.endswith(("bin", "map")):
         record = struct.Struct("<QdddBBBdQ")
         rows = (record.pack(int(i), *x, *c, e, 0) for i, x, c, e in zip(table.ids, XYZ, RGB, table.error, strict=True))
