@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from argparse import Namespace
 
@@ -85,9 +86,10 @@ def _given(arguments: Namespace, flag: str) -> tuple[list[list[float]], str | No
 
 def warn_of_leaks(scene_path: str) -> None:
     """Name on stderr the files beside a COLMAP model that would undo its hiding; nothing for other scenes."""
-    if kind_of(scene_path) is not Kind.SCENE_MODEL:
+    kind = kind_of(scene_path)
+    if kind not in (Kind.SCENE_MODEL, Kind.SCENE_POINTS):
         return
-    leaks = leaks_beside(scene_path)
+    leaks = leaks_beside(scene_path if kind is Kind.SCENE_MODEL else os.path.dirname(os.path.abspath(scene_path)))
     named = "; ".join(f"{path} ({gives})" for path, gives in leaks)
     print(" ".join(f"l2p: do not publish beside it, of {scene_path}: {named}".split()), file=sys.stderr)
 

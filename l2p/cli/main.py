@@ -16,6 +16,7 @@ from l2p.cli.localize_flags import add_decision, add_localization
 from l2p.cli.parser import USER_ERROR, Parser, complain
 from l2p.cli.picture_flags import add_picture, add_views
 from l2p.cli.scheme_flags import add_scheme, scheme_table
+from l2p.cli.shown_once import warnings_shown_once
 from l2p.errors import InputError, LostProcessError, sentence
 from l2p.judging import CLEANING
 from l2p.maps import ATTRIBUTES
@@ -46,7 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         from l2p.cli import commands
 
-        getattr(commands, arguments.command)(arguments)
+        with warnings_shown_once():
+            getattr(commands, arguments.command)(arguments)
     except (InputError, OSError) as error:
         complain(sentence(error))
         return USER_ERROR

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import os
 import struct
+from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt64
 
-from l2p.errors import InputError
+from l2p.errors import InputError, warn
 from l2p.io.atomic import atomic_folder, check_folder
+from l2p.io.colmap_faults import first_fault
+from l2p.io.colmap_folders import is_binary, model_folder, points_file, refuse_pointers
+from l2p.io.colmap_tables import camera_centers, image_lines, image_records, point_records, read_points
 from l2p.maps.scene import Scene
 
 _TABLES = ("cameras", "images", "points3D", "rigs", "frames")
@@ -23,44 +27,85 @@ MODEL_FILES = frozenset(f"{table}.{ending}" for table in _TABLES for ending in (
 #: COLMAP's value for an unknown reprojection error.
 NO_ERROR = -1.0
 
+_LARGEST_ID = 2**63 - 1
 # Mean reprojection error, in pixels, from which on it is COLMAP's placeholder for a point behind one of its cameras.
 _BEHIND = 1e9
 
 
 def read_model(path: str | PathLike[str]) -> Any:
-    """Read a model folder (bin or txt) as a ``pycolmap.Reconstruction``.
+    """Read a model folder (bin or txt), or the only model in the folder of a project, as a ``pycolmap.Reconstruction``.
 
     Raises
     ------
     InputError
-        If a file is missing, truncated or damaged, or tracks and images contradict each other.
+        If a file is missing, truncated or damaged, or tracks and images contradict each other; the message names the
+        line or the image.
     """
+    folder = model_folder(path)
+    try:
+        return _read_whole(folder)
+    except InputError as error:
+        raise InputError(f"{folder} is not a complete COLMAP model: {error}; export it again") from error
+
+
+def read_scene(path: str | PathLike[str]) -> tuple[Scene, Any | None]:
+    """Read the points of a model, whatever its tracks, images and cameras are like.
+
+    Parameters
+    ----------
+    path : path
+        A model folder, the folder of a project with one model in it, or points3D.bin or points3D.txt alone.
+
+    Returns
+    -------
+    (Scene, pycolmap.Reconstruction or None)
+        The points, and the model; None, with a warning, if only its points can be read, or only these were given.
+
+    Raises
+    ------
+    InputError
+        If there is no model, or its points are damaged.
+    """
+    if os.path.isfile(path):
+        return _scene_of_points(Path(path)), None
+    folder = model_folder(path)
+    file = points_file(folder)
+    if all((folder / f"points3D.{ending}").is_file() for ending in ("bin", "txt")):
+        warn(f"{folder} has points3D.bin and points3D.txt; {file.name} is read")
+    try:
+        model = _read_whole(folder)
+    except InputError as error:
+        scene = _scene_of_points(file)  # first: damaged points are an error
+        if len(scene) == 0:
+            raise InputError(f"{folder} is not a complete COLMAP model: {error}; export it again") from error
+        warn(f"{folder}: only the points are read, without tracks, since {error}")
+        return scene, None
+    return scene_of_model(model), model
+
+
+def _read_whole(folder: Path) -> Any:
+    """Read a model with all its tables; InputError that says in a few words what is wrong."""
     import pycolmap
 
-    if not Path(path).is_dir():
-        raise InputError(f"{path} is not a folder; expected a COLMAP model folder")
-    if is_binary(path):
-        _check_sizes(path)
+    refuse_pointers(folder)
+    binary = is_binary(folder)
+    if binary:
+        _check_sizes(folder)
     # COLMAP's log of a damaged model is silenced; the InputError gives the reason.
     level, pycolmap.logging.minloglevel = pycolmap.logging.minloglevel, int(pycolmap.logging.FATAL)
     try:
-        model = pycolmap.Reconstruction(str(path))
+        model = pycolmap.Reconstruction(str(folder))
         consistent = model.is_valid()
     except Exception as error:  # pycolmap raises ValueError, IndexError, RuntimeError, each for many causes
         reason = " ".join(str(error).split())[:160]
-        raise InputError(f"{path} is not a complete COLMAP model; export it again ({reason})") from error
+        raise InputError(first_fault(folder) or f"pycolmap does not read it ({reason})") from error
     finally:
         pycolmap.logging.minloglevel = level
     if not consistent:
-        raise InputError(f"{path} is damaged: its tracks and images contradict each other; export the model again")
-    if is_binary(path) and _camera_bytes(model) != (Path(path) / "cameras.bin").stat().st_size:
-        raise InputError(f"{path}/cameras.bin is truncated or damaged; export the model again")
+        raise InputError(first_fault(folder) or "its tracks and images contradict each other")
+    if binary and _camera_bytes(model) != (folder / "cameras.bin").stat().st_size:
+        raise InputError("cameras.bin is truncated or damaged")
     return model
-
-
-def is_binary(path: str | PathLike[str]) -> bool:
-    """Whether COLMAP reads the binary files of a model folder (it prefers them to text)."""
-    return (Path(path) / "points3D.bin").is_file()
 
 
 def scene_of_model(model: Any) -> Scene:
@@ -74,10 +119,54 @@ def scene_of_model(model: Any) -> Scene:
         xyz=np.array([point.xyz for point in points], dtype=np.float64).reshape(-1, 3),
         rgb=np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3),
         error=error,
-        track_length=np.array([point.track.length() for point in points], dtype=np.int32),
-        ids=np.array(ids, dtype=np.int64),
+        track_length=_known(np.array([point.track.length() for point in points], dtype=np.int32)),
+        ids=_signed(np.array(ids, dtype=np.uint64)),
         camera_centers=np.array(centers, dtype=np.float64).reshape(-1, 3),
     )
+
+
+def _scene_of_points(file: Path) -> Scene:
+    """The points of one file, and the centres of the images beside it, where these can be read."""
+    table = read_points(file)
+    return Scene(
+        xyz=table.xyz,
+        rgb=table.rgb,
+        error=table.error,
+        track_length=None if table.track_length is None else _known(table.track_length),
+        ids=_signed(table.ids),
+        camera_centers=_centers_beside(file),
+    )
+
+
+def _centers_beside(file: Path) -> Float[np.ndarray, "cameras 3"] | None:
+    """Centres of the images in the folder of a file of points; None without images, or if they are damaged."""
+    for ending in dict.fromkeys((file.suffix, ".bin", ".txt")):
+        images = file.with_name(f"images{ending}")
+        if images.is_file():
+            content = images.read_bytes()
+            try:
+                records = list(image_records(content) if ending == ".bin" else image_lines(content))
+            except (struct.error, ValueError, OverflowError):
+                continue
+            return camera_centers(records)
+    return None
+
+
+def _known(lengths: Int[np.ndarray, " points"]) -> Int[np.ndarray, " points"] | None:
+    """Track lengths; None if no point has a track, as where points are from depth maps."""
+    return lengths if lengths.any() else None
+
+
+def _signed(ids: UInt64[np.ndarray, " points"]) -> Int[np.ndarray, " points"] | None:
+    """Ids as int64; None, with a warning, if one is too large or repeated, so that no id tells a point."""
+    if len(ids) and ids.max() > _LARGEST_ID:
+        warn(f"the point id {ids.max()} is larger than 2^63 - 1; the points are read without ids")
+        return None
+    repeated = len(ids) - len(np.unique(ids))
+    if repeated:
+        warn(f"{repeated} point ids are repeated; the points are read without ids")
+        return None
+    return ids.astype(np.int64)
 
 
 def save_recovered_model(
@@ -111,6 +200,7 @@ def save_recovered_model(
     the error is -1, COLMAP's value for an unknown one. Cameras and poses are those of the input.
     """
     check_model_output(model_path, out_path, overwrite=overwrite)
+    model_path = model_folder(model_path)
     if len(ids) != len(xyz):
         raise InputError(f"got {len(ids)} ids and {len(xyz)} points; expected one id for each point")
     model = check_ids(model_path, ids)
@@ -128,7 +218,7 @@ def check_model_output(
     model_path: str | PathLike[str], out_path: str | PathLike[str], *, overwrite: bool = False
 ) -> None:
     """Raise InputError for an output folder that is, holds or lies in the input model, or must not be written."""
-    source, target = os.path.realpath(model_path), os.path.realpath(out_path)
+    source, target = os.path.realpath(model_folder(model_path, say=False)), os.path.realpath(out_path)
     if os.path.commonpath([source, target]) in (source, target):
         raise InputError(f"{out_path} and the model {model_path} share a folder; choose another output folder")
     check_folder(out_path, overwrite=overwrite, replaceable=MODEL_FILES)
@@ -174,24 +264,22 @@ def _check_written(folder: Path, model: Any) -> None:
 
 def _check_sizes(path: str | PathLike[str]) -> None:
     """Refuse truncated binary tables: COLMAP reads past the end of a file, for hours if a count is damaged."""
-    walks = {"points3D": _walk_points, "images": _walk_images, "rigs": _walk_rigs, "frames": _walk_frames}
+    walks = {"points3D": point_records, "images": image_records, "rigs": _rigs, "frames": _frames}
     for table, walk in walks.items():
         file = Path(path) / f"{table}.bin"
         if not file.is_file():
             continue
-        content = file.read_bytes()
         try:
-            complete = walk(content) == len(content)
-        except (struct.error, ValueError, OverflowError):
-            complete = False
-        if not complete:
-            raise InputError(f"{file} is truncated or damaged; export the model again")
+            for _ in walk(file.read_bytes()):
+                pass
+        except (struct.error, ValueError, OverflowError) as error:
+            raise InputError(f"{file.name} is truncated or damaged") from error
     cameras = Path(path) / "cameras.bin"
     if cameras.is_file():
         content = cameras.read_bytes()
-        # The length of a record depends on the camera model, which has at least three parameters.
-        if 8 + 48 * int.from_bytes(content[:8], "little") > len(content):
-            raise InputError(f"{cameras} is truncated or damaged; export the model again")
+        # The length of a record depends on the camera model, which has at least two parameters.
+        if 8 + 40 * int.from_bytes(content[:8], "little") > len(content):
+            raise InputError(f"{cameras.name} is truncated or damaged")
 
 
 def _camera_bytes(model: Any) -> int:
@@ -199,27 +287,8 @@ def _camera_bytes(model: Any) -> int:
     return 8 + sum(24 + 8 * len(camera.params) for camera in model.cameras.values())
 
 
-def _walk_points(content: bytes) -> int:
-    """End of the last record of points3D.bin: id, xyz, rgb, error, track of (image, index)."""
-    (count,), at = struct.unpack_from("<Q", content), 8
-    for _ in range(count):
-        (track,) = struct.unpack_from("<Q", content, at + 43)
-        at += 51 + 8 * track
-    return at
-
-
-def _walk_images(content: bytes) -> int:
-    """End of the last record of images.bin: id, pose, camera, name ended by a zero byte, keypoints."""
-    (count,), at = struct.unpack_from("<Q", content), 8
-    for _ in range(count):
-        at = content.index(b"\0", at + 64) + 1
-        (keypoints,) = struct.unpack_from("<Q", content, at)
-        at += 8 + 24 * keypoints
-    return at
-
-
-def _walk_rigs(content: bytes) -> int:
-    """End of the last record of rigs.bin: id, sensors; the first is the reference, the others may have a pose."""
+def _rigs(content: bytes) -> Iterator[int]:
+    """Walk along rigs.bin: id, sensors; the first is the reference, the others may have a pose."""
     (count,), at = struct.unpack_from("<Q", content), 8
     for _ in range(count):
         _, sensors = struct.unpack_from("<II", content, at)
@@ -227,13 +296,20 @@ def _walk_rigs(content: bytes) -> int:
         for _ in range(sensors - 1):
             (has_pose,) = struct.unpack_from("<?", content, at + 8)
             at += 65 if has_pose else 9
-    return at
+        yield at
+    _check_end(content, at)
 
 
-def _walk_frames(content: bytes) -> int:
-    """End of the last record of frames.bin: id, rig, pose, images of the frame."""
+def _frames(content: bytes) -> Iterator[int]:
+    """Walk along frames.bin: id, rig, pose, images of the frame."""
     (count,), at = struct.unpack_from("<Q", content), 8
     for _ in range(count):
         (images,) = struct.unpack_from("<I", content, at + 64)
         at += 68 + 16 * images
-    return at
+        yield at
+    _check_end(content, at)
+
+
+def _check_end(content: bytes, at: int) -> None:
+    if at != len(content):
+        raise ValueError("the file ends elsewhere")

@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Int
 
 from l2p.errors import InputError
-from l2p.io.colmap import read_model, scene_of_model
+from l2p.io.colmap import read_model, read_scene
+from l2p.io.colmap_folders import model_folder
 from l2p.io.kinds import Kind, kind_of
 from l2p.io.npz import Fields
 from l2p.io.scene_files import checked_scene, load_scene
@@ -60,11 +61,13 @@ def load_described(path: str | PathLike[str], source: str | PathLike[str] | None
         As :func:`load_scene` and :func:`with_descriptors`, and if there are no descriptors.
     """
     if kind_of(path) is Kind.SCENE_MODEL:
-        model = read_model(path)
-        scene = checked_scene(path, scene_of_model(model))
+        scene, model = read_scene(path)
+        scene = checked_scene(path, scene)
         source = file_beside(path) if source is None else Path(source)
         if source is None:
             raise InputError(f"{path} has no descriptors in its folder or two above; give their file: {_EXPECTED}")
+        if model is None and source.is_file() and not _head(source).startswith(b"PK"):
+            model = read_model(path)  # means over tracks need them: the error says what is wrong
         return with_descriptors(scene, source, model), source
     scene = load_scene(path)
     if source is not None:
@@ -116,13 +119,13 @@ def file_beside(model_path: str | PathLike[str]) -> Path | None:
     InputError
         If a database is damaged, a folder has several files of features, or h5py is missing to read the only ones.
     """
-    folder = Path(os.path.abspath(model_path))
+    folder = _absolute(model_path)
     return folder / BESIDE if (folder / BESIDE).is_file() else features_beside(model_path)
 
 
 def features_beside(model_path: str | PathLike[str]) -> Path | None:
     """Find the features of the images of a COLMAP model, as :func:`file_beside` does; None if there are none."""
-    folder = Path(os.path.abspath(model_path))
+    folder = _absolute(model_path)
     folders = [folder, *folder.parents][:3]
     for files in ([each / DATABASE] for each in folders):
         found = _with_features(files)
@@ -135,6 +138,10 @@ def features_beside(model_path: str | PathLike[str]) -> Path | None:
         if found:
             return found[0]
     return None
+
+
+def _absolute(model_path: str | PathLike[str]) -> Path:
+    return Path(os.path.abspath(model_folder(model_path, say=False)))
 
 
 @contextmanager

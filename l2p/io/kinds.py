@@ -9,6 +9,8 @@ from os import PathLike
 from pathlib import Path
 
 from l2p.errors import InputError
+from l2p.io import signatures
+from l2p.io.colmap_folders import model_folder
 from l2p.io.npz import npz_keys
 from l2p.io.other_lines import holds_lines, missing
 from l2p.io.table_files import table_layout
@@ -28,6 +30,16 @@ class Kind(Enum):
     SCENE_NPZ = "a scene (npz)"
     SCENE_TEXT = "a point cloud (text)"
     SCENE_ARRAY = "a point cloud (npy)"
+    SCENE_OBJ = "a point cloud (OBJ)"
+    SCENE_XYZ = signatures.XYZ_TEXT
+    SCENE_PCD = signatures.PCD
+    SCENE_POINTS = signatures.COLMAP_POINTS
+    SCENE_BUNDLER = signatures.BUNDLER
+    SCENE_NVM = signatures.NVM
+    SCENE_OPENSFM = signatures.OPENSFM
+    SCENE_OPENMVG = signatures.OPENMVG
+    SCENE_MESHROOM = signatures.MESHROOM
+    SCENE_NERFSTUDIO = signatures.NERFSTUDIO
     LINES_NPZ = "a line cloud (npz)"
     LINES_PLY = "a line cloud (PLY)"
     LINES_OBJ = "a line cloud (OBJ)"
@@ -98,9 +110,11 @@ def _kind_of(path: str | PathLike[str]) -> Kind:
     if head.startswith(b"PK"):
         return _npz_kind(path)
     if head.startswith(b"ply"):
-        header = head.split(b"end_header")[0]
-        return Kind.LINES_PLY if re.search(rb"[\r\n]element\s+edge\s", header) else Kind.SCENE_PLY
-    return Kind.CHECKPOINT if _is_safetensors(head) else _text_kind(path, head)
+        return _ply_kind(head)
+    if _is_safetensors(head):
+        return Kind.CHECKPOINT
+    foreign = signatures.foreign(path, head)
+    return _text_kind(path, head) if foreign is None else Kind(foreign)
 
 
 def _is_safetensors(head: bytes) -> bool:
@@ -109,9 +123,18 @@ def _is_safetensors(head: bytes) -> bool:
 
 
 def _folder_kind(path: Path) -> Kind:
-    if any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt")):
-        return Kind.SCENE_MODEL
-    raise InputError(f"{path} is a folder without points3D.bin or points3D.txt; expected a COLMAP model or a file")
+    """A model, or the folder of a project with one model in it; InputError if there is none, or several."""
+    model_folder(path, say=False)
+    return Kind.SCENE_MODEL
+
+
+def _ply_kind(head: bytes) -> Kind:
+    """Lines, or points: the edges of a scene, of camera frames or of a mesh, leave vertices over, or have faces."""
+    header = head.split(b"end_header")[0]
+    counts = {name: int(count) for name, count in re.findall(rb"[\r\n]element\s+(\w+)\s+(\d{1,18})", header)}
+    edges = counts.get(b"edge", 0)
+    drawn = edges > 0 and counts.get(b"vertex", 0) <= 2 * edges and not counts.get(b"face", 0)
+    return Kind.LINES_PLY if drawn else Kind.SCENE_PLY
 
 
 def _npz_kind(path: str | PathLike[str]) -> Kind:
@@ -121,6 +144,10 @@ def _npz_kind(path: str | PathLike[str]) -> Kind:
         found = Kind.LINES_FOREIGN if holds_lines(keys) else found
     if found is not None:
         return found
+    if any(name.endswith("data.pkl") for name in keys):
+        raise InputError(f"{path} is a PyTorch file, which l2p does not read; write its points with numpy.savez")
+    if keys and all("." in name or name.endswith("/") for name in keys):
+        raise InputError(f"{path} is a zip archive of {len(keys)} files; unpack it, and give what is in it")
     names = ", ".join(sorted(keys)[:8]) or "nothing"
     raise InputError(f"{path} holds {names}; {missing(keys)}")
 
@@ -143,4 +170,12 @@ def _text_kind(path: str | PathLike[str], head: bytes) -> Kind:
     if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(f"{path} is neither npz, PLY, OBJ nor text; expected one of these")
     records = {line.split(None, 1)[0] for line in head.splitlines() if line.strip()}
-    return Kind.LINES_OBJ if records & {b"v", b"l"} else Kind.LINES_TEXT
+    if not records & {b"v", b"l"}:
+        return Kind.LINES_TEXT
+    return Kind.LINES_OBJ if _has_lines(path) else Kind.SCENE_OBJ
+
+
+def _has_lines(path: str | PathLike[str]) -> bool:
+    """Whether an OBJ has lines, which may follow all of its vertices."""
+    with open(path, "rb") as file:
+        return any(line.split(None, 1)[:1] == [b"l"] for line in file)

@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 
 from l2p.errors import InputError
+from l2p.io.colmap_folders import model_folder
 from l2p.io.descriptors import BESIDE
 from l2p.io.kinds import Kind, kind_of
 
@@ -45,7 +46,7 @@ def leaks_beside(model_path: str | PathLike[str]) -> list[tuple[str, str]]:
         Paths from the folder of the model, such as ``../database.db``, and what they give away, such as ``features of
         the images``; more than three files of one ending in a folder are cut short.
     """
-    folder = Path(os.path.abspath(model_path))
+    folder = Path(os.path.abspath(model_folder(model_path, say=False)))
     # By path, as several patterns may match a file: the first says what it gives away.
     found: dict[str, str] = {}
     for pattern, gives in _OF_MODEL.items():

@@ -11,17 +11,29 @@ import numpy as np
 from jaxtyping import UInt8
 
 from l2p.errors import InputError
+from l2p.io.colours import as_rgb
+from l2p.maps.scene import Scene
 
 _RGB = ("red", "green", "blue")
 #: Largest step of a coordinate in single precision, over the size of the cloud: far below the distances of its points.
 _LOST = 1e-6
+# The same as other programs name them.
+_OTHER_RGB = (("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"), ("Red", "Green", "Blue"))
+
+
+def read_ply(path: str | PathLike[str]) -> Scene:
+    """Read the vertices of a PLY file as a scene, with their colours; edges and faces do not matter."""
+    vertex = ply_elements(path).get("vertex")
+    if vertex is None:
+        raise InputError(f"{path} has no vertices; expected an element vertex with x, y, z")
+    return Scene(ply_columns(path, vertex, ("x", "y", "z")).astype(np.float64), ply_rgb(vertex))
 
 
 def ply_elements(path: str | PathLike[str]) -> dict[str, np.ndarray]:
     """Read the structured array of each element of a PLY file; InputError if it is damaged."""
     from plyfile import PlyData
 
-    content = Path(path).read_bytes()
+    content = _ascii_header(Path(path).read_bytes())
     _check_counts(path, content)
     try:
         with warnings.catch_warnings():
@@ -31,6 +43,12 @@ def ply_elements(path: str | PathLike[str]) -> dict[str, np.ndarray]:
     except Exception as error:  # plyfile and numpy raise many types on damaged bytes
         reason = " ".join(str(error).split())[:120]
         raise InputError(f"{path} is truncated or damaged; expected a complete PLY file ({reason})") from error
+
+
+def _ascii_header(content: bytes) -> bytes:
+    """The file with a question mark for each byte of its header that is not ASCII: a comment may have any encoding."""
+    header, end, body = content.partition(b"end_header")
+    return content if header.isascii() else header.decode("latin-1").encode("ascii", errors="replace") + end + body
 
 
 def _check_counts(path: str | PathLike[str], content: bytes) -> None:
@@ -74,10 +92,13 @@ def ply_columns(path: str | PathLike[str], element: np.ndarray, names: tuple[str
 
 
 def ply_rgb(element: np.ndarray) -> UInt8[np.ndarray, "rows 3"] | None:
-    """The 8-bit colours of an element, or None."""
-    if any(name not in (element.dtype.names or ()) or element[name].dtype != np.uint8 for name in _RGB):
-        return None
-    return np.stack([element[name] for name in _RGB], axis=1)
+    """The colours of an element, of 8 or 16 bits or as shares, by any of their names; None if it has none."""
+    known = element.dtype.names or ()
+    for names in (_RGB, *_OTHER_RGB):
+        if all(name in known and element[name].dtype.kind in "fiu" for name in names):
+            columns = np.stack([element[name] for name in names], axis=1)
+            return as_rgb(columns.astype(columns.dtype.newbyteorder("=")))
+    return None
 
 
 def ply_bytes(elements: dict[str, np.ndarray]) -> bytes:

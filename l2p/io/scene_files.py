@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from dataclasses import replace
 from os import PathLike
 
 import numpy as np
 
 from l2p.checks import OUT_OF_RANGE, in_range
-from l2p.errors import InputError
+from l2p.errors import InputError, warn
 from l2p.io.atomic import atomic_file
-from l2p.io.colmap import read_model, scene_of_model
+from l2p.io.bundler import read_bundler
+from l2p.io.colmap import read_scene
+from l2p.io.colours import as_rgb
 from l2p.io.endings import checked_ending
+from l2p.io.json_maps import read_meshroom, read_nerfstudio, read_openmvg, read_opensfm
 from l2p.io.kinds import HIDDEN_MAPS, TABLES, Kind, kind_of
 from l2p.io.npz import Fields, npz_bytes
-from l2p.io.ply import ply_bytes, ply_columns, ply_elements, ply_rgb, point_records
+from l2p.io.nvm import read_nvm
+from l2p.io.obj_points import read_obj_points
+from l2p.io.pcd import read_pcd
+from l2p.io.ply import ply_bytes, point_records, read_ply
 from l2p.io.point_text import ENDINGS as TEXT
 from l2p.io.point_text import text_bytes
 from l2p.io.table_files import scene_of_table
+from l2p.io.xyz_files import read_xyz
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
 
@@ -33,7 +41,10 @@ TRUTH_VERSION = 2
 
 
 def load_scene(path: str | PathLike[str], columns: str | None = None) -> Scene:
-    """Read a scene: a COLMAP model folder (bin or txt), a PLY, an npz with ``xyz``, or rows of numbers (text, npy).
+    """Read a scene: a COLMAP model, a point cloud, a map of another program, or rows of numbers (``docs/formats.md``).
+
+    Of a COLMAP model the points are enough: where tracks, images or cameras cannot be read, an
+    :class:`l2p.errors.InputWarning` says so.
 
     Parameters
     ----------
@@ -54,19 +65,28 @@ def load_scene(path: str | PathLike[str], columns: str | None = None) -> Scene:
         return checked_scene(path, scene_of_table(path, columns))
     if kind in HIDDEN_MAPS or kind is Kind.CHECKPOINT:
         raise InputError(f"{path} is {kind.value}; expected a scene: a COLMAP model folder, a PLY or an npz with xyz")
-    if kind is Kind.SCENE_MODEL:
-        return checked_scene(path, scene_of_model(read_model(path)))
-    return checked_scene(path, _read_ply(path) if kind is Kind.SCENE_PLY else _read_npz(path))
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused as not finite
+        # Recoveries and truths have xyz, and are read as scenes, too.
+        return checked_scene(path, _READERS.get(kind, _read_npz)(path))
 
 
 def checked_scene(path: str | PathLike[str], scene: Scene) -> Scene:
-    """Return the scene of a file; InputError if it has no points, or points or cameras that are out of range."""
+    """Return the scene of a file, without cameras that are out of range (with a warning).
+
+    Raises
+    ------
+    InputError
+        If it has no points, or some that are out of range.
+    """
     if len(scene) == 0:
         raise InputError(f"{path} has no points; expected at least one")
     _refuse_out_of_range(path, "points", scene.xyz)
-    if scene.camera_centers is not None:
-        _refuse_out_of_range(path, "camera centres", scene.camera_centers)
-    return scene
+    if scene.camera_centers is None:
+        return scene
+    usable = np.asarray(in_range(scene.camera_centers).all(axis=1))
+    if not usable.all():
+        warn(f"{path}: {int((~usable).sum())} of {len(usable)} cameras have a place that is {OUT_OF_RANGE}; left out")
+    return replace(scene, camera_centers=scene.camera_centers[usable])
 
 
 def save_scene(scene: Scene, path: str | PathLike[str], *, overwrite: bool = False) -> None:
@@ -153,11 +173,9 @@ def truth_bytes(truth: Truth) -> bytes:
     )
 
 
-def _read_ply(path: str | PathLike[str]) -> Scene:
-    vertex = ply_elements(path).get("vertex")
-    if vertex is None:
-        raise InputError(f"{path} has no vertices; expected an element vertex with x, y, z")
-    return Scene(ply_columns(path, vertex, ("x", "y", "z")).astype(np.float64), ply_rgb(vertex))
+def _read_obj(path: str | PathLike[str]) -> Scene:
+    xyz, rgb = read_obj_points(path)
+    return Scene(xyz, None if rgb is None else as_rgb(rgb))
 
 
 def _read_npz(path: str | PathLike[str]) -> Scene:
@@ -188,3 +206,23 @@ def _refuse_out_of_range(path: str | PathLike[str], what: str, xyz: np.ndarray) 
             f"{path} has {int(bad.sum())} of {len(xyz)} {what} that are {OUT_OF_RANGE}, first at row "
             f"{int(np.argmax(bad))}; remove them"
         )
+
+
+def _read_colmap(path: str | PathLike[str]) -> Scene:
+    return read_scene(path)[0]
+
+
+_READERS: dict[Kind, Callable[[str | PathLike[str]], Scene]] = {
+    Kind.SCENE_MODEL: _read_colmap,
+    Kind.SCENE_POINTS: _read_colmap,
+    Kind.SCENE_PLY: read_ply,
+    Kind.SCENE_OBJ: _read_obj,
+    Kind.SCENE_XYZ: read_xyz,
+    Kind.SCENE_PCD: read_pcd,
+    Kind.SCENE_BUNDLER: read_bundler,
+    Kind.SCENE_NVM: read_nvm,
+    Kind.SCENE_OPENSFM: read_opensfm,
+    Kind.SCENE_OPENMVG: read_openmvg,
+    Kind.SCENE_MESHROOM: read_meshroom,
+    Kind.SCENE_NERFSTUDIO: read_nerfstudio,
+}

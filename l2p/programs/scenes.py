@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from l2p.errors import InputError
+from l2p.io.colmap_folders import is_model
 from l2p.io.descriptors import BESIDE, with_descriptors
 from l2p.io.kinds import SCENES, kind_of
 from l2p.io.scene_files import load_scene
@@ -133,6 +134,8 @@ def _from_files(path: Path) -> list[SceneSource]:
 
 
 def _is_scene(path: Path) -> bool:
+    if path.is_dir():
+        return is_model(path)
     try:
         return kind_of(path) in SCENES
     except InputError:

@@ -16,6 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from l2p.errors import InputError, sentence
+from l2p.io.colmap_folders import model_folder
 from l2p.io.descriptors import file_beside
 from l2p.io.hidden_files import load_hidden
 from l2p.io.kinds import HIDDEN_MAPS, SCENES, Kind, kind_of
@@ -180,7 +181,8 @@ def _beside(path: str | PathLike[str]) -> list[tuple[str, str]]:
         return []
     try:
         file = file_beside(path)
-        return [("descriptors beside it", "no" if file is None else os.path.relpath(file, path))]
+        folder = model_folder(path, say=False)
+        return [("descriptors beside it", "no" if file is None else os.path.relpath(file, folder))]
     except (InputError, OSError) as error:
         return [("descriptors beside it", sentence(error))]
 

@@ -150,7 +150,7 @@ def queries_of(model: Any, ids: Int[np.ndarray, " points"], features: Features |
         If fewer than three images have a pose and observations (a query, and the two that a map needs), all are at one
         place, a camera cannot be undistorted, or the features are not those of the model.
     """
-    posed = {image.name: image for image in model.images.values() if image.has_pose}
+    posed = {image.name: image for image in model.images.values() if _is_posed(image)}
     seen = [each for each in observations(model, ids) if each.name in posed]
     if len(seen) <= LEAST_IMAGES:
         raise InputError(
@@ -162,6 +162,11 @@ def queries_of(model: Any, ids: Int[np.ndarray, " points"], features: Features |
     if found.extent == 0:
         raise InputError("got a model whose cameras are all at one place; expected cameras that moved")
     return found
+
+
+def _is_posed(image: Any) -> bool:
+    """Whether an image has a pose of finite numbers."""
+    return bool(image.has_pose and np.isfinite(image.projection_center()).all())
 
 
 def _query(model: Any, image: Any, seen: Seen, features: Features | None) -> Query:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import sqlite3
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from l2p.errors import InputError
+from l2p.errors import InputError, InputWarning
 from l2p.io.colmap import scene_of_model
 from l2p.io.descriptors import with_descriptors
 from l2p.io.id_files import load_ids
@@ -28,6 +29,18 @@ from l2p.schemes.hide import lift
 
 READERS: tuple[Callable[[Path], Any], ...] = (load_lines, load_scene, load_truth, load_recovery, load_ids)
 POINTS = np.random.default_rng(0).normal(size=(5, 3))
+
+
+#: Maps of other programs.
+OTHERS = {
+    "bundle.out": "# Bundle file v0.3\n1 1\n500 0 0\n1 0 0\n0 1 0\n0 0 1\n1 2 3\n4 5 6\n255 0 9\n1 0 7 1 2\n",
+    "a.nvm": "NVM_V3\n\n1\na.jpg 500 1 0 0 0 1 2 3 0 0\n\n1\n4 5 6 255 0 9 1 0 7 1 2\n\n0\n",
+    "opensfm": '[{"points": {"3": {"coordinates": [1, 2, 3], "color": [1, 2, 3]}}, '
+    '"shots": {"a": {"rotation": [0, 1, 0], "translation": [1, 2, 3]}}}]',
+    "openmvg": '{"sfm_data_version": "0.3", "structure": [{"key": 3, "value": {"X": [1, 2, 3], "observations": [0]}}]}',
+    "points3D": "# 3D point list\n7 0.5 1 2 255 0 9 0.75 1 0 2 3\n8 0.5 1 3 255 0 9 0.75\n",
+    "mesh": "v 1 2 3 0.5 0.5 1\nv 1 2 4 0.5 0.5 1\nf 1 2 2\n",
+}
 
 
 def _seeds() -> dict[str, bytes]:
@@ -49,6 +62,8 @@ def _seeds() -> dict[str, bytes]:
             "element edge 1\nproperty list uchar int other\nproperty int vertex1\nproperty int vertex2\nend_header\n"
             "0 0 0\n1 1 1\n1 7 0 1\n"
         )
+        for name, text in OTHERS.items():
+            (root / name).write_text(text)
         return {file.name: file.read_bytes() for file in root.iterdir()}
 
 
@@ -60,7 +75,8 @@ def _read(content: bytes) -> None:
         path = Path(folder) / "file"
         path.write_bytes(content)
         for reader in READERS:
-            with contextlib.suppress(InputError):
+            with contextlib.suppress(InputError), warnings.catch_warnings():
+                warnings.simplefilter("ignore", InputWarning)
                 reader(path)
 
 
@@ -162,5 +178,6 @@ def test_mutated_models(write_model, text, table, data):
             at = data.draw(st.integers(0, len(content) - 1))
             content[at] = data.draw(st.integers(0, 255))
         file.write_bytes(bytes(content[: data.draw(st.integers(len(content) // 2, len(content)))]))
-        with contextlib.suppress(InputError):
+        with contextlib.suppress(InputError), warnings.catch_warnings():
+            warnings.simplefilter("ignore", InputWarning)
             load_scene(model)

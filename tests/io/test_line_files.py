@@ -307,7 +307,7 @@ def test_files_that_are_no_line_cloud(tmp_path):
     with pytest.raises(InputError, match=r"bare\.npy holds points .*, not lines; hide the points first"):
         load_lines(tmp_path / "bare.npy")
     (tmp_path / "photo.jpg").write_bytes(b"\xff\xd8\xff\xe0\x00\x10JFIF")
-    with pytest.raises(InputError, match="neither npz, PLY, OBJ nor text"):
+    with pytest.raises(InputError, match="is a JPEG picture"):
         load_lines(tmp_path / "photo.jpg")
     (tmp_path / "latin.txt").write_bytes("caf\xe9 1 2 3".encode("latin-1"))
     with pytest.raises(InputError, match="line 1: got 'café 1 2 3'; expected four numbers"):
@@ -339,7 +339,7 @@ def test_a_truncated_file_is_refused(tmp_path, ending, share):
         ("1 2 nan 0 0 1\n", "NaN"),
         ("1 2 3 0 0 inf\n", "infinite"),
         ("1e308 1e308 1e308 1e308 1 1\n", "bad.txt"),
-        ("v 0 0 0\nv 1 0 0\n", "has no lines"),
+        ("v 0 0 0\nv 1 0 0\n", r"is a point cloud \(OBJ\); expected a line cloud"),
         ("v 0 0 0\nv 1 0 0\nl 1 2 1\n", "line 3: got 'l 1 2 1'; expected exactly two vertices"),
         ("v 0 0\nl 1 1\n", "line 1: got 'v 0 0'; expected three numbers"),
         ("v 0 0 0\nl 1 2\n", "line to vertex 1; expected 0 to 0"),

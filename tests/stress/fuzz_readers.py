@@ -51,7 +51,7 @@ from accidents import damaged
 from line_coverage import Steps
 
 from l2p.attacks.learned import checkpoint
-from l2p.errors import InputError
+from l2p.errors import InputError, InputWarning
 from l2p.io import colmap, id_files, kinds, line_files, npz, ply, recovery_files, scene_files, text_lines
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
@@ -243,6 +243,7 @@ def try_one(path: Path, size: int) -> str | None:
     try:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
+            warnings.simplefilter("ignore", InputWarning)
             read_all(path)
     except Exception:
         return traceback.format_exc()
