@@ -20,15 +20,16 @@ from jaxtyping import Bool, Float
 from l2p.attacks.named import named_attack
 from l2p.attacks.settings import DEFAULT_METHOD, MethodName
 from l2p.auditing import FRACTIONS
+from l2p.auditing.asked import check_asked
 from l2p.auditing.attackers import Attacker, attackers_of
 from l2p.auditing.attacking import estimated_spacing, lifted_trials, line_trials, recovered
 from l2p.auditing.left_out import LeftOut
 from l2p.auditing.other_schemes import OtherSchemes, attacks_of
-from l2p.auditing.published_again import MOST_RELEASES, PublishedAgain
+from l2p.auditing.published_again import PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
 from l2p.auditing.seen import Seen
 from l2p.auditing.trial import Trial
-from l2p.checks import check_fraction, check_seed, named
+from l2p.checks import check_fraction, check_seed
 from l2p.errors import InputError
 from l2p.io.given import GivenScene, given_scene
 from l2p.judging.accuracy import spacing
@@ -43,7 +44,7 @@ from l2p.maps.scene import Scene
 from l2p.maps.short_repr import short_repr
 from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
-from l2p.schemes.scheme import SchemeName, scheme_of
+from l2p.schemes.scheme import SchemeName
 from l2p.utility.localization import Localization
 from l2p.utility.queries import Queries
 from l2p.utility.releases import LocalizeConfig, localize_hidden
@@ -280,23 +281,7 @@ def audit(
     schemes = (schemes,) if isinstance(schemes, str) else schemes
     fractions = [fractions] if isinstance(fractions, int | float) else fractions
     drop, region = (None if each is None else np.asarray(each) for each in (drop, region))
-    if isinstance(scene, LineCloud) and (fractions is not None or queries is not None):
-        what = "queries" if fractions is None else "fractions"
-        raise InputError(f"got {what} for a line cloud; expected none, since it is attacked as it is")
-    if isinstance(scene, LineCloud) and region is not None:
-        raise InputError("got a region for a line cloud, whose points are unknown; expected one with a scene")
-    if isinstance(scene, LineCloud) and drop is not None:
-        raise InputError("got points to drop for a line cloud, which has none; drop them when the map is lifted")
-    if isinstance(scene, LineCloud) and releases != 1:
-        raise InputError(
-            "got releases for a line cloud; expected them with a scene; l2p recover takes several line clouds"
-        )
-    if isinstance(scene, LineCloud) and schemes:
-        raise InputError("got schemes for a line cloud; expected them with a scene, which each of them can hide")
-    for scheme in schemes:
-        scheme_of(scheme)
-    if not isinstance(releases, int) or not 1 <= releases <= MOST_RELEASES:
-        raise InputError(f"got {named(releases)} releases; expected 1 to {MOST_RELEASES}")
+    check_asked(scene, fractions, queries, drop, region, schemes, releases)
     published = scene.appearance.without(ignore)
     attackers = attackers_of(named_attack(method, **settings), published)
     ignored = tuple(attribute for attribute in ATTRIBUTES if attribute in ignore)
@@ -307,8 +292,6 @@ def audit(
         scale = estimated_spacing(trials[0])
         return Audit(name, len(scene), scale, trials, method, None, metric, None, published.names, ignored)
     wanted = _fractions(FRACTIONS if fractions is None else fractions)
-    if region is not None and (region.shape != (len(scene),) or not region.any()):
-        raise InputError(f"got a region of {region.sum()} of {region.size} points; expected some of {len(scene)}")
     kept = len(scene) if drop is None else len(kept_rows(drop, len(scene)))
     scale = spacing(scene.xyz)
     trials = ()

@@ -243,7 +243,7 @@ HEURISTIC = ("--method", "heuristic")
         ("out.npz", ["--model", "folder"], "got --model or --truth with out.npz; expected a folder"),
         ("lines.npz", [], "got lines.npz twice"),
         ("recovery.npz", [], "recovery.npz exists; choose another path, or replace it (--force, overwrite=True)"),
-        ("folder", ["--force"], "expected .npz, .ply, or a folder together with --model MODEL --truth TRUTH.npz"),
+        ("folder", ["--force"], ".csv, or a folder together with --model MODEL --truth TRUTH.npz"),
         ("out.pcd", [], "got -o out.pcd; expected .npz, .ply, .xyz, .txt, .csv, or a folder together with --model"),
         ("nowhere/out.npz", [], "the folder of nowhere/out.npz does not exist"),
         ("out", ["--model", "folder", "--truth", "truth.npz"], "truth.npz has no point ids"),
