@@ -105,7 +105,7 @@ def test_the_real_scenes_are_readable(shared):
         ({"xyz": np.array([[0, 0, 0], [0, np.nan, 0], [np.inf, 0, 0]])}, "2 of 3 points that are NaN, inf.* row 1"),
         ({"xyz": np.zeros((4, 3)), "rgb": np.zeros((4, 3))}, "rgb of type float64"),
         ({"xyz": np.zeros((4, 3)), "ids": np.arange(3)}, r"ids of shape \(3,\); expected \(4\)"),
-        ({"points": np.zeros((4, 3))}, r"holds points; expected direction and moment .* or xyz"),
+        ({"points": np.zeros((4, 3))}, r"holds points; points needs directions beside it; .* xyz"),
         ({}, "holds nothing|damaged"),
     ],
 )
