@@ -88,6 +88,8 @@ class Audit:
         Attacks on the map hidden by other schemes; None if none was asked for.
     again : PublishedAgain or None
         What several releases of the map give away together; None if only one was asked about.
+    up : (3,) float64 or None
+        Unit vector of up in the scene, if it is known.
     """
 
     name: str
@@ -106,6 +108,7 @@ class Audit:
     undropped: Localization | None = None
     others: OtherSchemes | None = None
     again: PublishedAgain | None = None
+    up: Float[np.ndarray, "3"] | None = None
 
     @property
     def scheme(self) -> str:
@@ -312,6 +315,7 @@ def audit(
         ignored,
         None if drop is None else LeftOut.of(scene.xyz[drop], pairs, scale),
         None if region is None else AskedRegion.of(region, trials, scale),
+        up=scene.up,
     )
     if schemes:
         found = replace(found, others=_others(found, scene, drop, schemes, progress, attack))

@@ -129,6 +129,7 @@ def _exhibit(trial: Trial, audit: Audit) -> Exhibit:
         calibrated=audit.calibrated,
         error=None if truth is None else errors(recovery, truth) / audit.spacing,
         camera_centers=audit.camera_centers,
+        up=audit.up,
         spacing=audit.spacing,
     )
 

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from l2p.errors import InputError
 from l2p.io.atomic import atomic_folder, check_folder
 from l2p.maps.scene import Scene
+from l2p.maps.upright import up_of
 
 _TABLES = ("cameras", "images", "points3D", "rigs", "frames")
 
@@ -64,10 +65,11 @@ def is_binary(path: str | PathLike[str]) -> bool:
 
 
 def scene_of_model(model: Any) -> Scene:
-    """Points, colours, errors, track lengths, ids (in increasing order) and camera centres of a model."""
+    """Points, colours, errors, track lengths, ids (in increasing order), camera centres and up of a model."""
     ids = sorted(model.point3D_ids())
     points = [model.points3D[key] for key in ids]
-    centers = [image.projection_center() for _, image in sorted(model.images.items()) if image.has_pose]
+    posed = [image for _, image in sorted(model.images.items()) if image.has_pose]
+    rotations = [image.cam_from_world().rotation.matrix() for image in posed]
     with np.errstate(over="ignore"):  # an error that is too large becomes infinite
         error = np.array([point.error for point in points]).astype(np.float32)
     return Scene(
@@ -76,7 +78,8 @@ def scene_of_model(model: Any) -> Scene:
         error=error,
         track_length=np.array([point.track.length() for point in points], dtype=np.int32),
         ids=np.array(ids, dtype=np.int64),
-        camera_centers=np.array(centers, dtype=np.float64).reshape(-1, 3),
+        camera_centers=np.array([image.projection_center() for image in posed], dtype=np.float64).reshape(-1, 3),
+        up=up_of(np.array(rotations, dtype=np.float64).reshape(-1, 3, 3)),
     )
 
 

@@ -38,6 +38,8 @@ class Exhibit:
         Camera centres, scene units.
     spacing : float or None
         Spacing of the map, scene units.
+    up : (3,) float64 or None
+        Unit vector of up, if it is known.
     """
 
     points: Float[np.ndarray, "rows 3"] | None = None
@@ -49,6 +51,7 @@ class Exhibit:
     error: Float[np.ndarray, " rows"] | None = None
     camera_centers: Float[np.ndarray, "cameras 3"] | None = None
     spacing: float | None = None
+    up: Float[np.ndarray, "3"] | None = None
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Exhibit:
@@ -65,7 +68,7 @@ class Exhibit:
             return cls(lines=lines, rgb=lines.rgb)
         if kind in SCENES:
             scene = load_scene(path)
-            return cls(points=scene.xyz, rgb=scene.rgb, camera_centers=scene.camera_centers)
+            return cls(points=scene.xyz, rgb=scene.rgb, camera_centers=scene.camera_centers, up=scene.up)
         if kind is Kind.TRUTH:
             return cls(points=load_truth(path).xyz)
         if kind is not Kind.RECOVERY:
