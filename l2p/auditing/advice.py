@@ -7,7 +7,7 @@ from typing import NamedTuple
 from l2p.auditing.attackers import named
 from l2p.auditing.audit import Audit
 from l2p.auditing.trial import Trial
-from l2p.auditing.verdict import Level, Verdict
+from l2p.auditing.verdict import Verdict
 from l2p.auditing.words import savings
 from l2p.show.page.numbers import fraction, percent
 
@@ -61,18 +61,18 @@ def advice_of(audit: Audit, verdict: Verdict, *, decided: bool, shared: bool) ->
 
 
 def _publishing(verdict: Verdict) -> Advice:
-    if verdict.level is Level.EXPOSED:
+    if verdict.level == "exposed":
         return Advice(
             "Treat these lines like the points.",
             "Give them only to those who may see the map itself; another random seed does not help. If they are public "
             "already, tell the owner of the place.",
         )
-    if verdict.level is Level.PARTLY:
+    if verdict.level == "partly":
         return Advice(
             "Look at what comes back before you publish.",
             "Walls and large things show first; whether that is too much depends on the place.",
         )
-    if verdict.level is Level.LITTLE:
+    if verdict.level == "little":
         return Advice(
             "Do not take a low figure for safety.",
             "It is what this attack gets; a better one, or a plan of the building, may give more.",

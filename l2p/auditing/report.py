@@ -93,7 +93,7 @@ def figures_of(
     decision = decide(audit, release.goal)
     figures = {
         **audit.as_dict(),
-        "verdict": verdict_of(audit).level.value,
+        "verdict": verdict_of(audit).level,
         "parts": parts_dict(parts_of(audit)),
         "decision": None if decision is None else decision.as_dict(),
         "command": command,

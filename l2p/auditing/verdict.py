@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
+from typing import Literal
 
 from l2p.auditing.audit import Audit
 from l2p.show.page.numbers import count, fraction, length, percent
@@ -16,21 +16,14 @@ _EXPOSED_HALF = 0.8
 FEW = 200
 
 
-class Level(StrEnum):
-    """How much is given away."""
-
-    EXPOSED = "exposed"
-    PARTLY = "partly"
-    LITTLE = "little"
-    UNKNOWN = "unknown"
-
-
+#: How much is given away.
+Level = Literal["exposed", "partly", "little", "unknown"]
 #: First words of a verdict: measured, and predicted of a line cloud.
-_WORDS = {
-    Level.EXPOSED: ("Exposed", "Probably exposed"),
-    Level.PARTLY: ("Partly exposed", "Probably exposed in part"),
-    Level.LITTLE: ("Little comes back", "Little is likely to come back"),
-    Level.UNKNOWN: ("No verdict", "No verdict"),
+_WORDS: dict[Level, tuple[str, str]] = {
+    "exposed": ("Exposed", "Probably exposed"),
+    "partly": ("Partly exposed", "Probably exposed in part"),
+    "little": ("Little comes back", "Little is likely to come back"),
+    "unknown": ("No verdict", "No verdict"),
 }
 
 
@@ -66,27 +59,27 @@ def verdict_of(audit: Audit) -> Verdict:
     else:
         level = _level(within, half)
         return Verdict(level, _WORDS[level][0 if audit.known else 1], _sentence(audit, level, within))
-    return Verdict(Level.UNKNOWN, _WORDS[Level.UNKNOWN][0], why)
+    return Verdict("unknown", _WORDS["unknown"][0], why)
 
 
 def _level(within: float, half: float | None) -> Level:
     """
     >>> _level(0.88, 0.97), _level(0.45, 0.85), _level(0.2, 0.3), _level(0.03, None)
-    (<Level.EXPOSED: 'exposed'>, <Level.EXPOSED: 'exposed'>, <Level.PARTLY: 'partly'>, <Level.LITTLE: 'little'>)
+    ('exposed', 'exposed', 'partly', 'little')
     """
     if within >= _EXPOSED or (half is not None and half >= _EXPOSED_HALF):
-        return Level.EXPOSED
-    return Level.PARTLY if within >= _PARTLY else Level.LITTLE
+        return "exposed"
+    return "partly" if within >= _PARTLY else "little"
 
 
 def _sentence(audit: Audit, level: Level, within: float) -> str:
     share = audit.trials[0].fraction
     what = "points" if share == 1 and audit.left_out is None else "published points"
     what += f" ({fraction(share)} of all)" if share < 1 else ""
-    who = "this attack" if level is Level.LITTLE else "an attacker"
+    who = "this attack" if level == "little" else "an attacker"
     gets = f"gets {percent(within)}" if audit.known else f"is expected to get about {percent(within)}"
     place = (
         f", to within {length(audit.spacing, True)} of where they were" if audit.metric else ", near where they were"
     )
-    doubt = " A better attack may get more." if level is Level.LITTLE else ""
+    doubt = " A better attack may get more." if level == "little" else ""
     return f"{who} {gets} of the {what} back{place}.{doubt}"
