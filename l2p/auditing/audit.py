@@ -46,7 +46,7 @@ from l2p.utility.releases import LocalizeConfig, localize_hidden
 from l2p.work.progress import NO_PROGRESS, Progress
 
 #: Version of the layout of ``audit.json``, written into it.
-AUDIT_VERSION = 4
+AUDIT_VERSION = 5
 
 
 @dataclass(frozen=True, eq=False)

@@ -178,7 +178,8 @@ def view(arguments: Namespace) -> None:
     if arguments.window:
         check_window()
     check_outputs([arguments.file], [arguments.output], arguments.force)
-    exhibit, name = Exhibit.load(arguments.file), printable(arguments.file)
+    exhibit = Exhibit.load(arguments.file)
+    name = map_name(arguments.file) if os.path.isdir(arguments.file) else printable(os.path.basename(arguments.file))
     if arguments.window:
         show(exhibit, name)
         return

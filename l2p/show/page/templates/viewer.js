@@ -251,7 +251,7 @@ function say() {
   } else if (back && cloud.kept) {
     const kept = cloud.kept[least], right = cloud.right && cloud.right[least];
     text = least
-      ? `${number(kept)} of ${number(cloud.count)} points (${percent(kept, cloud.count)}) are those of which the attacker is so sure.`
+      ? `${number(kept)} of ${number(cloud.count)} points (${percent(kept, cloud.count)}) are at least so confident.`
       : `${number(cloud.count)} recovered points.`;
     if (cloud.right && cloud.measured) text += ` ${number(right)} of these (${percent(right, kept)}) are right: within 1 spacing.`;
     if (cloud.right && !cloud.measured) text += ` About ${percent(right, kept)} of these are expected to be within 1 spacing.`;
