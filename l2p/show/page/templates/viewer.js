@@ -204,6 +204,9 @@ let due = false;
 function draw() {
   due = false;
   const now = state(), above = resize(painted.length), edges = region.edges();
+  // Two sides may leave an odd row or column.
+  context.fillStyle = getComputedStyle(root).getPropertyValue("--canvas");
+  context.fillRect(0, 0, canvas.width, canvas.height);
   painted.forEach((side, number) => {
     colors = side.colors;
     pixels.fill(background);
