@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import l2p
 
 IMAGES = Path(__file__).parent / "images"
 CHROMIUM = "/usr/bin/chromium"
 POINTS, SEED = 5000, 3
-#: Name, width and height of the window, and whether it is a phone.
-WINDOWS = (("audit", 1280, 1000, False), ("audit-phone", 390, 1230, True))
+#: Name, width and height of the window, height of the picture, and whether it is a phone.
+WINDOWS = (("audit", 1280, 900, 900, False), ("audit-phone", 390, 844, 1080, True))
 
 
 def main() -> None:
@@ -25,12 +26,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
         l2p.save_report(audit, Path(folder) / "report")
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        for name, width, height, phone in WINDOWS:
-            size: dict = {"viewport": {"width": width, "height": height}, "color_scheme": "light"}
-            page = browser.new_page(**size, is_mobile=phone, has_touch=phone)
+        for name, width, height, shown, phone in WINDOWS:
+            size: Any = {"width": width, "height": height}
+            page = browser.new_page(viewport=size, color_scheme="light", is_mobile=phone, has_touch=phone)
             page.goto((Path(folder) / "report" / "index.html").as_uri())
             page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-            page.screenshot(path=IMAGES / f"{name}.png")
+            part: Any = {"x": 0, "y": 0, "width": width, "height": shown}
+            page.screenshot(path=IMAGES / f"{name}.png", full_page=True, clip=part)
             print(IMAGES / f"{name}.png")
         browser.close()
 
