@@ -51,7 +51,7 @@ class View:
     @classmethod
     def of(cls, scene: Scene, upright: bool) -> View:
         """Choose the view of a scene; if ``upright``, its z is up, else up is guessed as on pages."""
-        exhibit = Exhibit(points=scene.xyz, camera_centers=scene.camera_centers)
+        exhibit = Exhibit(points=scene.xyz, camera_centers=scene.camera_centers, up=scene.up)
         turn = np.eye(3) if upright else Stance.before(exhibit).axes
         xyz = scene.xyz @ turn.T
         low, high = np.quantile(xyz, (TAIL, 1 - TAIL), axis=0)

@@ -95,6 +95,8 @@ class Audit:
         What several releases of the map give away together; None if only one was asked about.
     pictures : tuple of Seen
         Pictures of some views (:func:`l2p.auditing.seen.pictures_of`).
+    up : (3,) float64 or None
+        Unit vector of up in the scene, if it is known.
     """
 
     name: str
@@ -114,6 +116,7 @@ class Audit:
     others: OtherSchemes | None = None
     again: PublishedAgain | None = None
     pictures: tuple[Seen, ...] = ()
+    up: Float[np.ndarray, "3"] | None = None
 
     __repr__ = short_repr
 
@@ -312,6 +315,7 @@ def audit(
         ignored,
         None if drop is None else LeftOut.of(scene.xyz[drop], pairs, scale),
         None if region is None else AskedRegion.of(region, trials, scale),
+        up=scene.up,
     )
     if schemes:
         found = replace(found, others=_others(found, scene, drop, schemes, progress, attack))

@@ -10,18 +10,22 @@ from os import PathLike
 from typing import Any
 
 from l2p.auditing import FIGURES, FILES, PAGE
+from l2p.auditing.advice import advice_of
 from l2p.auditing.attackers import named, others, seen_by
 from l2p.auditing.audit import Audit
 from l2p.auditing.charts import charts
 from l2p.auditing.decision import decide
+from l2p.auditing.exposed_parts import part_rows, parts_dict, parts_of
 from l2p.auditing.left_out import LeftOut
 from l2p.auditing.page_table import Group, Head, Row, Table
 from l2p.auditing.picture_section import picture_tables
 from l2p.auditing.published_again import EXACT, PublishedAgain
 from l2p.auditing.region_asked import AskedRegion
 from l2p.auditing.scheme_comparison import comparison_chart, comparison_table
+from l2p.auditing.sharing import holding, shared_figures, shared_release
 from l2p.auditing.tradeoff import ReleaseInputs, tradeoff
 from l2p.auditing.trial import Trial
+from l2p.auditing.verdict import verdict_of
 from l2p.auditing.words import sentences, times
 from l2p.io.atomic import atomic_folder
 from l2p.judging.accuracy import errors
@@ -49,8 +53,11 @@ def save_report(
     command: str | None = None,
     most_points: int = MOST_POINTS,
     release: ReleaseInputs = ReleaseInputs(),
+    share: bool = False,
 ) -> None:
     """Write the report of an audit: an HTML page, and all figures as JSON.
+
+    The page holds points of the map, true and recovered ones, for its picture: treat it like the map, or ``share`` it.
 
     Parameters
     ----------
@@ -64,6 +71,9 @@ def save_report(
         Most points of each cloud in the view; the figures count all points.
     release : ReleaseInputs
         For an audit with queries: what a release should reach, and what it is made from.
+    share : bool
+        Leave out whatever tells more than figures: every point, so the picture, too; coordinates, paths of ``release``,
+        the machine. ``command`` and the name of the audit are told as they are given.
 
     Raises
     ------
@@ -71,15 +81,24 @@ def save_report(
         If the folder exists and may not be replaced, or cannot be written.
     """
     with atomic_folder(folder, overwrite=overwrite, replaceable=frozenset(FILES)) as place:
-        content = figures_of(audit, command, release)
+        content = figures_of(audit, command, release, share)
         (place / FIGURES).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-        (place / PAGE).write_bytes(report_page(audit, command, most_points, release))
+        (place / PAGE).write_bytes(report_page(audit, command, most_points, release, share))
 
 
-def figures_of(audit: Audit, command: str | None = None, release: ReleaseInputs = ReleaseInputs()) -> dict[str, Any]:
+def figures_of(
+    audit: Audit, command: str | None = None, release: ReleaseInputs = ReleaseInputs(), share: bool = False
+) -> dict[str, Any]:
     """Return the content of ``audit.json``."""
     decision = decide(audit, release.goal)
-    return {**audit.as_dict(), "decision": None if decision is None else decision.as_dict(), "command": command}
+    figures = {
+        **audit.as_dict(),
+        "verdict": verdict_of(audit).level,
+        "parts": parts_dict(parts_of(audit)),
+        "decision": None if decision is None else decision.as_dict(),
+        "command": command,
+    }
+    return shared_figures(figures) if share else figures
 
 
 def report_page(
@@ -87,12 +106,12 @@ def report_page(
     command: str | None = None,
     most_points: int = MOST_POINTS,
     release: ReleaseInputs = ReleaseInputs(),
+    share: bool = False,
 ) -> bytes:
     """Render the page of an audit, UTF-8."""
-    exhibits = [(fraction(trial.fraction), _exhibit(trial, audit)) for trial in audit.trials]
-    used = audit.attackers[0]
-    first, *further = sentences(audit)
-    decision = decide(audit, release.goal)
+    exhibits = [] if share else [(fraction(trial.fraction), _exhibit(trial, audit)) for trial in audit.trials]
+    release = shared_release(release) if share else release
+    used, verdict, decision = audit.attackers[0], verdict_of(audit), decide(audit, release.goal)
     return render(
         "audit.html",
         f"Privacy audit of {audit.name}",
@@ -100,8 +119,12 @@ def report_page(
         most_points,
         attackers=[seen_by(attacker) for attacker in audit.attackers],
         audit=audit,
-        headline=first,
-        sentences=further,
+        shared=share,
+        holding=holding(audit, share),
+        verdict=verdict,
+        sentences=sentences(audit),
+        parts=[] if share else part_rows(parts_of(audit)),
+        advice=advice_of(audit, verdict, decided=decision is not None, shared=share),
         used=used,
         used_words=named(used),
         unseen=[named([name]) for name in others(used)],
@@ -110,11 +133,11 @@ def report_page(
         unlocalized=release.unlocalized,
         charts=[*([] if audit.others is None else [comparison_chart(audit, audit.others)]), *charts(audit)],
         spacing=length(audit.spacing, audit.metric),
-        picture_tables=picture_tables(audit),
+        picture_tables=[] if share else picture_tables(audit),
         seconds=_duration(audit.trials[0].seconds),
-        own_colors=audit.trials[0].rgb is not None and "rgb" not in used,
+        own_colors=not share and audit.trials[0].rgb is not None and "rgb" not in used,
         command=command,
-        facts=_facts(audit),
+        facts=_facts(audit, share),
     )
 
 
@@ -130,6 +153,7 @@ def _exhibit(trial: Trial, audit: Audit) -> Exhibit:
         calibrated=audit.calibrated,
         error=None if truth is None else errors(recovery, truth) / audit.spacing,
         camera_centers=audit.camera_centers,
+        up=audit.up,
         spacing=audit.spacing,
     )
 
@@ -286,13 +310,16 @@ def _predicted_table(audit: Audit) -> Table:
     return Table(heading, heads, [Group("", rows)], note)
 
 
-def _facts(audit: Audit) -> list[tuple[str, str]]:
+def _facts(audit: Audit, share: bool) -> list[tuple[str, str]]:
     """List the facts of the run: method, settings, machine, time."""
-    settings = audit.trials[0].recovery.info["settings"]
+    settings, weights = audit.trials[0].recovery.info["settings"], ""
+    if "checkpoint" in settings:
+        weights = f"SHA-256 begins with {settings['digest']}"
+        weights = weights if share else f"{settings['checkpoint']}, {weights}"
     made = audit.as_dict()
     where = made["machine"]
-    weights = f"{settings['checkpoint']}, SHA-256 begins with {settings['digest']}" if "checkpoint" in settings else ""
     memory = "" if where["memory_gib"] is None else f", {where['memory_gib']:g} GiB"
+    machine = f"{where['processor']}, {where['threads']} of {where['cores']} cores{memory}, {where['system']}"
     facts = [
         ("Given", f"{audit.name}: {count(audit.points)} {'points' if audit.known else 'lines'}"),
         ("Left out on request", "" if audit.left_out is None else f"{count(audit.left_out.points)} points"),
@@ -302,7 +329,7 @@ def _facts(audit: Audit) -> list[tuple[str, str]]:
         ("Checkpoint", weights),
         ("Seed of the line clouds", "" if audit.seed is None else str(audit.seed)),
         ("Versions", ", ".join(f"{name} {version}" for name, version in made["versions"].items())),
-        ("Machine", f"{where['processor']}, {where['threads']} of {where['cores']} cores{memory}, {where['system']}"),
+        ("Machine", "" if share else machine),
         ("Date", datetime.datetime.now(datetime.timezone.utc).date().isoformat()),
     ]
     return [(what, value) for what, value in facts if value]

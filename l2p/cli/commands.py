@@ -18,6 +18,7 @@ from l2p.cli.flags import POINT_FLAGS, settings_of
 from l2p.cli.lift import described_scene, printable
 from l2p.cli.lift import lift as lift
 from l2p.cli.localize import localize as localize
+from l2p.cli.map_names import map_name
 from l2p.cli.outputs import check_attack, check_outputs, figures_file, file_of, say_taken, set_threads
 from l2p.cli.picture_command import picture as picture
 from l2p.cli.recover import recover as recover
@@ -63,7 +64,9 @@ def audit(arguments: Namespace) -> None:
     from l2p.auditing.decision import decide, parsed_goal
     from l2p.auditing.report import ReleaseInputs, figures_of, save_report
     from l2p.auditing.seen import pictures_of
+    from l2p.auditing.sharing import NAMELESS, holding
     from l2p.auditing.tradeoff import decision_sentences, option_table
+    from l2p.auditing.verdict import verdict_of
     from l2p.auditing.words import sentences
     from l2p.utility.localization import checked_limits
     from l2p.utility.releases import LocalizeConfig
@@ -87,7 +90,7 @@ def audit(arguments: Namespace) -> None:
         scene = described_scene(arguments.scene, arguments.descriptors, arguments.columns)[0]
     say_taken(arguments.scene, scene, arguments)
     queries, why = _queries(arguments, scene, needed=goal is not None)
-    places = _places(arguments)
+    places = [] if arguments.share else _places(arguments)
     set_threads(arguments.threads)
     found = examine(
         scene,
@@ -105,7 +108,7 @@ def audit(arguments: Namespace) -> None:
         queries=queries,
         localizing=localizing,
         progress=terminal_progress(),
-        name=printable(arguments.scene),
+        name=arguments.name or (NAMELESS if arguments.share else map_name(arguments.scene)),
         **settings_of(arguments),
     )
     if not isinstance(scene, LineCloud):
@@ -116,7 +119,7 @@ def audit(arguments: Namespace) -> None:
     release = ReleaseInputs(
         goal, printable(arguments.scene), arguments.descriptors or None, tuple(point_words(arguments, "drop")), why
     )
-    with figures_file(arguments, figures_of(found, command, release)):
+    with figures_file(arguments, figures_of(found, command, release, arguments.share)):
         save_report(
             found,
             arguments.output,
@@ -124,6 +127,7 @@ def audit(arguments: Namespace) -> None:
             command=command,
             most_points=arguments.max_view_points,
             release=release,
+            share=arguments.share,
         )
     if arguments.json != "-":
         if found.known:
@@ -133,10 +137,15 @@ def audit(arguments: Namespace) -> None:
             print_rows(
                 "releases of the map (*: the best, in brackets: another one is better)", *option_table(found, decision)
             )
-        told = [*sentences(found), *([] if decision is None else decision_sentences(found, decision))]
+        told = [
+            str(verdict_of(found)),
+            *sentences(found),
+            *([] if decision is None else decision_sentences(found, decision)),
+        ]
         for each in told:
             print(each.replace("\N{NO-BREAK SPACE}", " "))
         print(f"The report is {Path(arguments.output) / PAGE}")
+        print(holding(found, arguments.share))
     if arguments.open:
         _open(Path(arguments.output) / PAGE)
 
@@ -196,7 +205,8 @@ def view(arguments: Namespace) -> None:
     if arguments.window:
         check_window()
     check_outputs([arguments.file], [arguments.output], arguments.force)
-    exhibit, name = Exhibit.load(arguments.file, arguments.columns), printable(arguments.file)
+    exhibit = Exhibit.load(arguments.file, arguments.columns)
+    name = map_name(arguments.file) if os.path.isdir(arguments.file) else printable(os.path.basename(arguments.file))
     if arguments.window:
         show(exhibit, name)
         return
@@ -255,15 +265,24 @@ def _check_report(arguments: Namespace) -> None:
 
 
 def _audit_command(arguments: Namespace, lines_given: bool) -> str:
-    """Return the command line that repeats this audit."""
+    """Return the command line that repeats this audit; of a report to share, without paths, coordinates and machine."""
+    from l2p.auditing.sharing import without_values
+
+    points = [*point_words(arguments, "drop"), *point_words(arguments, "region")]
+    if arguments.share:
+        stands = {"scene": "LINES" if lines_given else "MODEL", "output": "REPORT_DIR", "device": None, "threads": None}
+        stands |= {"descriptors": arguments.descriptors and "FILE", "checkpoint": arguments.checkpoint and "FILE"}
+        arguments, points = Namespace(**{**vars(arguments), **stands, "memory": None}), without_values(points)
     words = ["l2p", "audit", arguments.scene, "-o", arguments.output]
+    words += ["--share"] if arguments.share else []
+    words += ["--name", arguments.name] if arguments.name else []
     if arguments.fractions is not None:
         words += ["--fractions", *(f"{share:.15g}" for share in arguments.fractions)]
     if arguments.descriptors is not None:
         words += ["--descriptors", *([arguments.descriptors] if arguments.descriptors else [])]
     words += [] if arguments.columns is None else ["--columns", arguments.columns]
     words += ["--ignore", ",".join(arguments.ignore)] if arguments.ignore else []
-    words += [*point_words(arguments, "drop"), *point_words(arguments, "region")]
+    words += points
     words += [] if lines_given else ["--seed", str(arguments.seed)]
     words += ["--method", arguments.method]
     flags = {**settings_of(arguments), **{name: getattr(arguments, name) for name in ("device", "threads", "memory")}}

@@ -254,6 +254,14 @@ def _add_audit(commands: Any) -> None:
         "-o", dest="output", metavar="REPORT_DIR", required=True, help="folder to write: index.html, audit.json"
     )
     audit.add_argument(
+        "--name", metavar="NAME", help="name of the map on the page (default: that of its file or folder)"
+    )
+    audit.add_argument(
+        "--share",
+        action="store_true",
+        help="write a report that can be passed on: figures and curves, but no point of the map, no path, no machine",
+    )
+    audit.add_argument(
         "--fractions",
         type=float,
         nargs="+",

@@ -18,6 +18,7 @@ from l2p.io.colmap_faults import first_fault
 from l2p.io.colmap_folders import is_binary, model_folder, points_file, refuse_pointers
 from l2p.io.colmap_tables import camera_centers, image_lines, image_records, point_records, read_points
 from l2p.maps.scene import Scene
+from l2p.maps.upright import up_of
 
 _TABLES = ("cameras", "images", "points3D", "rigs", "frames")
 
@@ -109,10 +110,11 @@ def _read_whole(folder: Path) -> Any:
 
 
 def scene_of_model(model: Any) -> Scene:
-    """Points, colours, errors, track lengths, ids (in increasing order) and camera centres of a model."""
+    """Points, colours, errors, track lengths, ids (in increasing order), camera centres and up of a model."""
     ids = sorted(model.point3D_ids())
     points = [model.points3D[key] for key in ids]
-    centers = [image.projection_center() for _, image in sorted(model.images.items()) if image.has_pose]
+    posed = [image for _, image in sorted(model.images.items()) if image.has_pose]
+    rotations = [image.cam_from_world().rotation.matrix() for image in posed]
     with np.errstate(over="ignore"):  # an error that is too large becomes infinite
         error = np.array([point.error for point in points]).astype(np.float32)
     return Scene(
@@ -121,7 +123,8 @@ def scene_of_model(model: Any) -> Scene:
         error=error,
         track_length=_known(np.array([point.track.length() for point in points], dtype=np.int32)),
         ids=_signed(np.array(ids, dtype=np.uint64)),
-        camera_centers=np.array(centers, dtype=np.float64).reshape(-1, 3),
+        camera_centers=np.array([image.projection_center() for image in posed], dtype=np.float64).reshape(-1, 3),
+        up=up_of(np.array(rotations, dtype=np.float64).reshape(-1, 3, 3)),
     )
 
 

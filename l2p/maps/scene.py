@@ -35,6 +35,8 @@ class Scene(WithAppearance):
         Descriptor of each point: the mean over its track, or one observation.
     descriptor_kind : str or None
         What computed the descriptors (:class:`l2p.maps.appearance.Appearance`).
+    up : (3,) float64 or None
+        Unit vector of up in the scene, if it is known; pictures stand by it.
 
     Raises
     ------
@@ -50,6 +52,7 @@ class Scene(WithAppearance):
     camera_centers: Float[np.ndarray, "cameras 3"] | None = None
     descriptor: np.ndarray | None = None
     descriptor_kind: str | None = None
+    up: Float[np.ndarray, "3"] | None = None
 
     __repr__ = short_repr
 
@@ -67,7 +70,7 @@ class Scene(WithAppearance):
         object.__setattr__(self, "descriptor_kind", appearance.descriptor_kind)
 
     def rows(self, some: Bool[np.ndarray, " points"] | Int[np.ndarray, " some"]) -> Scene:
-        """Select points by a mask or row numbers, with all that belongs to them; camera centres stay."""
+        """Select points by a mask or row numbers, with all that belongs to them; camera centres and up stay."""
         names = ("xyz", "rgb", "error", "track_length", "ids", "descriptor")
         own = {name: value[some] for name in names if (value := getattr(self, name)) is not None}
         return replace(self, **own)

@@ -39,6 +39,8 @@ class Exhibit:
         Camera centres, scene units.
     spacing : float or None
         Spacing of the map, scene units.
+    up : (3,) float64 or None
+        Unit vector of up, if it is known.
     """
 
     points: Float[np.ndarray, "rows 3"] | None = None
@@ -50,6 +52,7 @@ class Exhibit:
     error: Float[np.ndarray, " rows"] | None = None
     camera_centers: Float[np.ndarray, "cameras 3"] | None = None
     spacing: float | None = None
+    up: Float[np.ndarray, "3"] | None = None
 
     __repr__ = short_repr
 
@@ -74,7 +77,7 @@ class Exhibit:
             return cls(lines=lines, rgb=lines.rgb)
         if kind in SCENES:
             scene = load_scene(path, columns)
-            return cls(points=scene.xyz, rgb=scene.rgb, camera_centers=scene.camera_centers)
+            return cls(points=scene.xyz, rgb=scene.rgb, camera_centers=scene.camera_centers, up=scene.up)
         if kind is Kind.TRUTH:
             return cls(points=load_truth(path).xyz)
         if kind is not Kind.RECOVERY:

@@ -1,4 +1,4 @@
-"""Viewpoint of a map: centre, radius and axes, with the up direction guessed."""
+"""Viewpoint of a map: centre, radius and axes, upright if its cameras tell, and seen from where they stood."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ from l2p.show.exhibit import Exhibit
 
 #: Share of the points that the view must show, and factor on its radius: most maps have a far background.
 _HELD, _MARGIN = 0.8, 1.3
+#: Least distance of the cameras' middle from the points', in radii across up, from which they look at one side.
+_ASIDE = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class Stance:
     """View coordinates ``(x - center) / radius @ axes.T``: in the unit ball except for far points, with z up.
 
-    The sign of up is a guess: maps are stored with y down, as cameras see them, or with z up.
+    Without an up of the map it is guessed, and its sign, too: maps are stored with y down, as cameras see them, or with
+    z up.
     """
 
     center: Float[np.ndarray, "3"]
@@ -41,7 +44,9 @@ class Stance:
         center = np.median(points, axis=0)
         distance = np.linalg.norm(points - center, axis=1)
         radius = _MARGIN * float(np.quantile(distance, _HELD))
-        return cls(center, radius if radius > 0 else 1.0, _axes(points[distance <= radius], exhibit.camera_centers))
+        radius = radius if radius > 0 else 1.0
+        up = _up(points[distance <= radius], exhibit.camera_centers) if exhibit.up is None else exhibit.up
+        return cls(center, radius, _axes(up, _ahead(exhibit.camera_centers, center, radius)))
 
     def enter(self, points: Float[np.ndarray, "*many 3"]) -> Float[np.ndarray, "*many 3"]:
         """Transform scene points to view coordinates."""
@@ -62,8 +67,24 @@ class Stance:
         return np.stack([nearest[hit] - half, nearest[hit] + half], axis=1)
 
 
-def _axes(points: Float[np.ndarray, "points 3"], cameras: Float[np.ndarray, "cameras 3"] | None) -> np.ndarray:
-    """Rows right, forward, up.
+def _axes(up: Float[np.ndarray, "3"], ahead: Float[np.ndarray, "3"] | None) -> Float[np.ndarray, "3 3"]:
+    """Rows right, forward, up; forward is the part of ``ahead`` that is across up, or any direction that is."""
+    across = None if ahead is None else ahead - (ahead @ up) * up
+    if across is None or np.linalg.norm(across) < _ASIDE:
+        across = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
+    forward = across / np.linalg.norm(across)
+    return np.stack([np.cross(forward, up), forward, up])
+
+
+def _ahead(
+    cameras: Float[np.ndarray, "cameras 3"] | None, center: Float[np.ndarray, "3"], radius: float
+) -> Float[np.ndarray, "3"] | None:
+    """Direction from the middle of the cameras to the points, in radii; None without cameras."""
+    return None if cameras is None or len(cameras) == 0 else (center - np.median(cameras, axis=0)) / radius
+
+
+def _up(points: Float[np.ndarray, "points 3"], cameras: Float[np.ndarray, "cameras 3"] | None) -> np.ndarray:
+    """Guess up from positions alone.
 
     Cameras usually stay at one height, so up is the direction in which their positions vary least; without cameras,
     the points are used. An axis of the scene close to this direction replaces it.
@@ -73,8 +94,4 @@ def _axes(points: Float[np.ndarray, "points 3"], cameras: Float[np.ndarray, "cam
     largest = int(np.abs(up).argmax())
     if abs(up[largest]) > 0.9:
         up = np.eye(3)[largest]
-    up = up if up @ (0.0, -1.0, 1.0) >= 0 else -up
-    other = np.eye(3)[int(np.abs(up).argmin())]
-    forward = np.cross(up, other)
-    forward /= np.linalg.norm(forward)
-    return np.stack([np.cross(forward, up), forward, up])
+    return up if up @ (0.0, -1.0, 1.0) >= 0 else -up

@@ -94,6 +94,7 @@ def _assemble(tracks: list[Tracks], points: int, cameras) -> SimulatedModel:
         track_length=length.astype(np.int32),
         ids=np.arange(1, points + 1),
         camera_centers=cameras.center,
+        up=np.array([0.0, 0.0, 1.0]),
     )
     return SimulatedModel(
         scene,

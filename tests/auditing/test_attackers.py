@@ -244,7 +244,7 @@ def test_points_and_lines_are_stored_once_for_all_attackers(found: l2p.Audit) ->
 def test_figures_say_who_used_what(found: l2p.Audit, blind: l2p.Audit) -> None:
     for audit in (found, blind):
         figures = json.loads(json.dumps(report.figures_of(audit), allow_nan=False))
-        assert figures["version"] == 4 and figures["published"] == list(BOTH) and figures["ignored"] == []
+        assert figures["version"] == 5 and figures["published"] == list(BOTH) and figures["ignored"] == []
         assert [tuple(trial["used"]) for trial in figures["trials"]] == [trial.used for trial in audit.trials]
         assert all(trial["attack"]["used"] == trial["used"] for trial in figures["trials"])
 

@@ -141,6 +141,31 @@ def test_true_points_lines_and_recovered_points_are_three_pictures(opened):
     assert opened.page.locator("#size").is_disabled(), "nor have lines a size"
 
 
+def test_the_first_view_is_the_map_beside_what_comes_back(opened):
+    both = opened.picture()
+    half = both.shape[1] // 2
+    sides = [both[30:, : half - 2], both[30:, half + 2 :]]
+    assert all(foreground(side) > 700 for side in sides) and not same(*sides)
+    assert not opened.page.locator("#floor").is_disabled()
+    opened.slide("floor", 100)
+    assert same(opened.picture()[30:, : half - 2], sides[0]), "the map is as it is"
+    opened.page.set_viewport_size({"width": 390, "height": 844})
+    narrow = opened.picture()
+    assert narrow.shape[0] > 1.5 * narrow.shape[1], "one above the other"
+
+
+def test_the_exposed_part_of_the_map_is_red(opened, found):
+    opened.choose("layer", "exposed")
+    trial = found.trials[0]
+    inside = int((np.linalg.norm(trial.recovery.xyz - trial.truth.xyz, axis=1) <= found.spacing).sum())
+    assert opened.text().startswith(f"1,500 points. {inside:,} of these")
+    seen = opened.picture().reshape(-1, 3)
+    red = (seen[:, 0] > 150) & (seen[:, 1:].max(axis=1) < 90)
+    assert red.sum() > 100
+    assert opened.text("legend").startswith("exposed: in its place")
+    assert opened.page.locator("#color").is_disabled()
+
+
 def test_the_share_that_is_published_can_be_chosen(opened):
     before = opened.picture()
     opened.choose("cloud", "1")
@@ -340,7 +365,13 @@ def test_light_and_dark_are_readable(browser, report, scheme):
     ground = luminance(shown.page.locator("body").evaluate("e => getComputedStyle(e).backgroundColor"))
     assert (ground > 0.5) == (scheme == "light")
     paper = luminance(shown.page.locator("figure").first.evaluate("e => getComputedStyle(e).backgroundColor"))
-    for place, behind in (("h1", ground), (".note", ground), ("figcaption", paper), ("thead th", paper)):
+    for place, behind in (
+        ("h1", ground),
+        (".note", paper),
+        (".verdict strong", paper),
+        ("figcaption", paper),
+        ("thead th", paper),
+    ):
         colour = luminance(shown.page.locator(place).first.evaluate(style, "color"))
         light, dark = max(colour, behind), min(colour, behind)
         assert (light + 0.05) / (dark + 0.05) >= 4.5, place

@@ -12,6 +12,7 @@ from test_page import PHONE, WIDE, Opened, browser, same
 from toy import SEES, telling_scene
 
 import l2p
+from l2p.auditing.exposed_parts import parts_of
 from l2p.auditing.report import save_report
 from l2p.maps.region import Box
 from l2p.show.exhibit import Exhibit
@@ -29,7 +30,8 @@ AXES = "xyz"
 def turned(scene: l2p.Scene) -> l2p.Scene:
     cameras = scene.camera_centers
     moved = [places @ TURN + [100.0, -20.0, 3.0] for places in (scene.xyz, *([] if cameras is None else [cameras]))]
-    return replace(scene, xyz=moved[0], camera_centers=None if cameras is None else moved[1])
+    up = None if scene.up is None else scene.up @ TURN
+    return replace(scene, xyz=moved[0], camera_centers=None if cameras is None else moved[1], up=up)
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +49,7 @@ def report(found, tmp_path_factory) -> Path:
 @pytest.fixture
 def opened(browser, report) -> Iterator[Opened]:
     shown = Opened(browser, report, color_scheme="light")
+    shown.choose("layer", "recovered")
     yield shown
     assert shown.wrong == []
     shown.context.close()
@@ -164,7 +167,7 @@ def test_edges_are_drawn_between_the_corners(opened, found):
     opened.choose("layer", "lines")
     picture = opened.picture()
     height, width = picture.shape[:2]
-    stance = Stance.before(Exhibit(points=found.trials[0].truth.xyz, camera_centers=found.camera_centers))
+    stance = Stance.before(Exhibit(points=found.trials[0].truth.xyz, camera_centers=found.camera_centers, up=found.up))
     assert np.abs(stance.axes).max() < 0.99, "the box is turned in the view"
     box = np.array([box_of(opened).low, box_of(opened).high])
     azimuth, elevation, distance = -0.96, 0.5, 2.6
@@ -193,6 +196,23 @@ def test_behind_points_the_edges_are_dashed(opened):
     pictures.append(opened.picture())
     ink = [(picture.max(axis=2) < 48).sum() for picture in pictures]
     assert 0.3 * ink[1] < ink[0] < ink[1]
+
+
+def test_a_part_of_the_map_is_shown_as_a_box_that_holds_it(opened, found):
+    parts = parts_of(found)
+    buttons = opened.page.locator("button.part")
+    assert buttons.count() == len(parts) == 8
+    truth = found.trials[0].truth.xyz
+    exhibit = Exhibit(points=truth, camera_centers=found.camera_centers, up=found.up)
+    sides = sides_of(exhibit, Stance.before(exhibit))
+    reach = Box.of([float(side[end]) for end in ("least", "most") for side in sides]).contains(truth)
+    for number in (0, 7):
+        buttons.nth(number).click()
+        inside = box_of(opened).contains(truth)
+        within = Box(parts[number].low, parts[number].high).contains(truth)
+        assert within.sum() == parts[number].points
+        assert not (within & reach & ~inside).any(), "the sliders reach as far as the picture"
+        assert told(opened).startswith(f"The box holds {inside.sum():,} of the 1,500 published points")
 
 
 def test_of_a_thinned_map_the_points_drawn_are_counted(browser, found, tmp_path):

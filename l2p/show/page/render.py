@@ -14,7 +14,7 @@ from l2p.show.page.numbers import count
 from l2p.show.page.view import MOST_LINES, view_data
 from l2p.version import __version__
 
-_SCRIPTS = ("theme.js", "region.js", "viewer.js", "copy.js")
+_SCRIPTS, _VIEWER_SCRIPTS = ("theme.js", "copy.js"), ("region.js", "viewer.js")
 
 
 def render(
@@ -25,13 +25,13 @@ def render(
     attackers: Sequence[str] = ("",),
     **words: Any,
 ) -> bytes:
-    """Render a page with an interactive view of the exhibits, UTF-8.
+    """Render a page with an interactive view of the exhibits, UTF-8; without exhibits, it has no view.
 
     With several ``attackers``, each label has so many exhibits one after another, one per attacker; ``words`` are
     variables of the template.
     """
-    environment, view = _environment(), view_data(exhibits, most_points)
-    script = "".join(_source(name) for name in _SCRIPTS)
+    environment, view = _environment(), view_data(exhibits, most_points) if exhibits else None
+    script = "".join(_source(name) for name in (*_SCRIPTS, *(_VIEWER_SCRIPTS if exhibits else ())))
     page = environment.get_template(template).render(
         title=title,
         version=__version__,
@@ -41,7 +41,7 @@ def render(
         clouds=[label for label, _ in exhibits[:: len(attackers)]],
         attackers=attackers,
         thinned=_thinned(exhibits, most_points),
-        **_choices(exhibits[0][1]),
+        **(_choices(exhibits[0][1]) if exhibits else {}),
         **words,
     )
     # File names may hold bytes that are not UTF-8.
@@ -49,16 +49,24 @@ def render(
 
 
 def _choices(exhibit: Exhibit) -> dict[str, Any]:
-    """Layers and colours that the view offers."""
-    layers = {"points": "True points", "lines": "Line cloud", "recovered": "Recovered points"}
+    """Layers and colours that the view offers; the first layer is shown first, and ``both`` has two beside each other:
+    what the map is, or what is published of it, and what comes back."""
+    layers = {"points": "The map", "lines": "What is published: lines", "recovered": "What comes back"}
+    found = [(name, label) for name, label in layers.items() if getattr(exhibit, name) is not None]
+    sides = [found[0], found[-1]] if len(found) > 1 and found[-1][0] == "recovered" else []
+    if sides:
+        found.insert(0, ("both", "Side by side"))
+    if exhibit.points is not None and exhibit.error is not None:
+        found.append(("exposed", "Exposed part of the map"))
     colors = {
-        "error": ("By error", exhibit.error),
-        "confidence": ("By confidence", exhibit.confidence),
+        "error": ("Exposed or not", exhibit.error),
+        "confidence": ("How sure the attacker is", exhibit.confidence),
         "rgb": ("The map's own", exhibit.rgb),
     }
     recovered = exhibit.recovered is not None
     return {
-        "layers": [(name, label) for name, label in layers.items() if getattr(exhibit, name) is not None],
+        "layers": found,
+        "sides": sides,
         "colors": [(name, label) for name, (label, values) in colors.items() if recovered and values is not None],
         "confident": exhibit.confidence is not None,
     }

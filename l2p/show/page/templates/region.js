@@ -90,5 +90,15 @@ function say(cloud) {
   status.textContent = told(cloud, rowsIn(cloud, sides)) + thinned;
   flags.querySelector("code").textContent = ["--drop-box", ...sides.flat()].join(" ");
 }
-return { edges, say };
+
+// Set the sliders to a box of the map, as far as they reach, and a step wider, so that its points are in it.
+function choose(low, high) {
+  find("region").checked = true;
+  data.sides.forEach(({ axis }, k) => {
+    const step = Number(find(`${axis}-from`).step);
+    find(`${axis}-from`).value = low[k] - step;
+    find(`${axis}-to`).value = high[k] + step;
+  });
+}
+return { edges, say, choose };
 };

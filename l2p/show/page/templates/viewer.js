@@ -29,9 +29,16 @@ const attackers = document.querySelectorAll('input[name="attacker"]').length;
 
 // ---- state ----
 const START = { azimuth: -0.96, elevation: 0.5, distance: 2.6, target: [0, 0, 0] };
-const NEAR = 0.02;
+const NEAR = 0.02, NARROW = 560;
 let camera = structuredClone(START);
 const checked = (name) => document.querySelector(`input[name="${name}"]:checked`).value;
+const SIDES = JSON.parse(canvas.dataset.sides); // The layers that stand side by side, with their headings.
+// What is drawn: one layer, or two; a layer of points in a colour of its own, or in the chosen one.
+const DRAWN = {
+  both: SIDES.map(([layer, heading]) => ({ layer, heading })),
+  exposed: [{ layer: "points", mode: "error" }],
+  ...Object.fromEntries(["points", "lines", "recovered"].map((layer) => [layer, [{ layer }]])),
+};
 const state = () => ({
   cloud: clouds[checked("cloud") * attackers + Number(checked("attacker"))],
   layer: checked("layer"),
@@ -54,18 +61,21 @@ const scale = (...stops) => Uint32Array.from({ length: 256 }, (_, i) => {
 
 let colors = null; // of each point of the layer; null for one colour that fades with depth
 let background = 0, fading = null, crowding = null;
+let painted = []; // for each side, its layer and colours
 function paint() {
-  const { cloud, layer, color, floor } = state();
+  painted = DRAWN[state().layer].map((side) => ({ ...side, colors: colorsOf(side.layer, side.mode) }));
+}
+function colorsOf(layer, own) {
+  const { cloud, color } = state();
   const ground = named("canvas"), ink = named("point"), dark = ground[0] < 128;
   background = packed(ground);
   fading = scale(ink, mixed(ink, ground, 0.75));
   crowding = scale(...Array.from({ length: 17 }, (_, i) => mixed(ground, ink, 1 - Math.exp(-i / 4))));
   const places = cloud[layer];
-  colors = null;
-  const mode = layer === "points" ? "rgb" : color;
-  if (layer === "lines" || !(mode === "rgb" ? cloud.rgb : mode === "error" ? cloud.error : cloud.level)) return;
-  const values = scale(named("good"), named("middle"), named("bad"));
-  colors = Uint32Array.from({ length: places.length / 3 }, (_, i) => {
+  const mode = own || (layer === "points" ? "rgb" : color);
+  if (layer === "lines" || !(mode === "rgb" ? cloud.rgb : mode === "error" ? cloud.error : cloud.level)) return null;
+  const values = scale(named("exposed"), named("middle"), named("hidden"));
+  return Uint32Array.from({ length: places.length / 3 }, (_, i) => {
     if (mode === "error") return values[cloud.error[i]];
     if (mode === "confidence") return values[Math.round(255 * (1 - cloud.level[i] / data.levels))];
     // Colours of a map are often dark: brighter on a dark ground.
@@ -74,17 +84,22 @@ function paint() {
 }
 
 // ---- drawing ----
-let width = 0, height = 0, image, pixels, depth, counts;
-function resize() {
-  const ratio = Math.min(window.devicePixelRatio || 1, 2);
-  const w = Math.max(1, Math.round(canvas.clientWidth * ratio)), h = Math.max(1, Math.round(canvas.clientHeight * ratio));
-  if (w === width && h === height) return;
-  canvas.width = width = w;
-  canvas.height = height = h;
+// Width and height of one side; two sides stand beside each other, or, on a narrow page, one above the other.
+let width = 0, height = 0, ratio = 1, image, pixels, depth, counts;
+function resize(sides) {
+  ratio = Math.min(window.devicePixelRatio || 1, 2);
+  const whole = [canvas.clientWidth, canvas.clientHeight].map((size) => Math.max(1, Math.round(size * ratio)));
+  if (whole[0] !== canvas.width || whole[1] !== canvas.height) [canvas.width, canvas.height] = whole;
+  const above = sides > 1 && canvas.clientWidth < NARROW;
+  const w = above ? whole[0] : Math.floor(whole[0] / sides), h = above ? Math.floor(whole[1] / sides) : whole[1];
+  if (w === width && h === height) return above;
+  width = w;
+  height = h;
   image = context.createImageData(w, h);
   pixels = new Uint32Array(image.data.buffer);
   depth = new Float32Array(w * h);
   counts = new Uint16Array(w * h);
+  return above;
 }
 
 // Rows right, up, forward of the camera, and where its own origin lies along them.
@@ -105,7 +120,7 @@ function drawPoints({ cloud, layer, floor, size }) {
   const { rows: [[a, b, c], [d, e, f], [g, h, i]], shift: [sx, sy, sz], focal } = basis();
   const places = cloud[layer], level = layer === "recovered" && floor ? cloud.level : null;
   // Few points are drawn larger.
-  const reach = size * (20000 / cloud.shown) ** 0.2 * (width / canvas.clientWidth) * camera.distance;
+  const reach = size * (20000 / cloud.shown) ** 0.2 * ratio * camera.distance;
   depth.fill(Infinity);
   for (let p = 0, o = 0; o < places.length; p++, o += 3) {
     if (level && level[p] < floor) continue;
@@ -168,7 +183,7 @@ function drawLines({ cloud: { lines } }) {
 
 // The box of the region; its edges are dashed behind points.
 function drawBox(edges, layer) {
-  const view = basis(), ink = packed(named("ink")), thick = Math.max(1, Math.round(1.5 * width / canvas.clientWidth));
+  const view = basis(), ink = packed(named("ink")), thick = Math.max(1, Math.round(1.5 * ratio));
   for (let o = 0; o < edges.length; o += 6) {
     const line = pixelsOf(edges, o, view);
     if (!line) continue;
@@ -188,12 +203,26 @@ function drawBox(edges, layer) {
 let due = false;
 function draw() {
   due = false;
-  resize();
-  const now = state();
-  pixels.fill(background);
-  (now.layer === "lines" ? drawLines : drawPoints)(now);
-  drawBox(region.edges(), now.layer);
-  context.putImageData(image, 0, 0);
+  const now = state(), above = resize(painted.length), edges = region.edges();
+  // Two sides may leave an odd row or column.
+  context.fillStyle = getComputedStyle(root).getPropertyValue("--canvas");
+  context.fillRect(0, 0, canvas.width, canvas.height);
+  painted.forEach((side, number) => {
+    colors = side.colors;
+    pixels.fill(background);
+    (side.layer === "lines" ? drawLines : drawPoints)({ ...now, layer: side.layer });
+    drawBox(edges, side.layer);
+    const left = above ? 0 : number * width, top = above ? number * height : 0;
+    context.putImageData(image, left, top);
+    if (!side.heading) return;
+    context.font = `600 ${15 * ratio}px system-ui, sans-serif`;
+    context.fillStyle = getComputedStyle(root).getPropertyValue("--ink");
+    context.fillText(side.heading, left + 12 * ratio, top + 24 * ratio);
+  });
+  if (painted.length > 1) {
+    context.fillStyle = getComputedStyle(root).getPropertyValue("--grid");
+    if (above) context.fillRect(0, height - 1, width, 2 * ratio); else context.fillRect(width - 1, 0, 2 * ratio, height);
+  }
 }
 function redraw() {
   if (!due) requestAnimationFrame(draw);
@@ -209,7 +238,10 @@ function say() {
   find("floor").max = top;
   const least = Math.min(floor, top);
   find("floor-value").textContent = cloud.calibrated ? percent(least, data.levels) : (least / 100).toFixed(2);
-  find("floor").disabled = find("color").disabled = find("attackers").disabled = layer !== "recovered";
+  const back = layer === "recovered" || layer === "both";
+  find("floor").disabled = find("color").disabled = !back;
+  find("attackers").disabled = !back && layer !== "exposed";
+  canvas.classList.toggle("two", layer === "both");
   find("size").disabled = layer === "lines";
   const thinned = cloud.shown < cloud.count ? ` The picture shows ${number(cloud.shown)} of all, drawn at random.` : "";
   let text = `${number(cloud.count)} points.`;
@@ -217,7 +249,9 @@ function say() {
     text = `${number(cloud.count)} lines.`;
     if (cloud.linesTried < cloud.count) text += ` The picture shows ${number(cloud.linesShown)} of them, drawn at random.`;
     else if (cloud.linesShown < cloud.count) text += ` Left out of the picture: ${number(cloud.count - cloud.linesShown)}, far from the others.`;
-  } else if (layer === "recovered" && cloud.kept) {
+  } else if (layer === "exposed") {
+    text += ` ${number(cloud.right[0])} of these (${percent(cloud.right[0], cloud.count)}) are exposed: they come back within 1 spacing.`;
+  } else if (back && cloud.kept) {
     const kept = cloud.kept[least], right = cloud.right && cloud.right[least];
     text = least
       ? `${number(kept)} of ${number(cloud.count)} points (${percent(kept, cloud.count)}) are at least so confident.`
@@ -227,9 +261,11 @@ function say() {
   }
   if (layer !== "lines") text += thinned;
   find("status").textContent = text;
-  const labels = { error: ["right", `${data.errorLimit} spacings off or more`], confidence: ["sure", "unsure"] }[color];
-  find("legend").hidden = layer !== "recovered" || !labels;
-  if (labels) [find("legend-good").textContent, find("legend-bad").textContent] = labels;
+  const labels = {
+    error: ["exposed: in its place", `hidden: ${data.errorLimit} spacings off or more`], confidence: ["sure", "unsure"],
+  }[layer === "exposed" ? "error" : color];
+  find("legend").hidden = !(back || layer === "exposed") || !labels;
+  if (labels) [find("legend-exposed").textContent, find("legend-hidden").textContent] = labels;
   region.say(cloud);
 }
 function refresh() { say(); paint(); redraw(); }
@@ -242,7 +278,7 @@ function turn(dx, dy) {
 }
 function move(dx, dy) {
   const { rows: [right, up], focal } = basis();
-  const step = (width / canvas.clientWidth) * camera.distance / focal;
+  const step = ratio * camera.distance / focal;
   camera.target = camera.target.map((value, k) => value - step * (dx * right[k] - dy * up[k]));
   redraw();
 }
@@ -294,6 +330,12 @@ find("farther").addEventListener("click", () => zoom(1.25));
 find("reset").addEventListener("click", reset);
 for (const input of document.querySelectorAll(".controls input, .controls select")) input.addEventListener("input", refresh);
 
+// Parts of the map, which the sliders of the region show.
+for (const button of document.querySelectorAll("button.part")) button.addEventListener("click", () => {
+  region.choose(...[button.dataset.low, button.dataset.high].map((corner) => corner.split(" ").map(Number)));
+  refresh();
+  canvas.scrollIntoView({ block: "center" });
+});
 addEventListener("theme", ({ detail: atOnce }) => { refresh(); if (atOnce) draw(); });
 new ResizeObserver(redraw).observe(canvas);
 refresh();
