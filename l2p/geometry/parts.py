@@ -18,10 +18,11 @@ from jaxtyping import Bool, Float, Int
 from l2p.geometry.frame import middle
 from l2p.maps.lines import LineCloud
 
-#: A place stands alone if a ball around it can grow by this factor and take up at most this share of its lines more;
-#: the second share is for clouds so wide that few cells of a grid would be left for the place: the 0.97 quantile of the
-#: distances is beyond ``_WIDE`` times the median (at most 45 times in the 99 scenes of ``shared/scenes``).
-_EMPTY, _STRAY, _LOOSE, _WIDE = 10.0, 0.005, 0.15, 100.0
+#: A place stands alone if a ball around it can grow by this factor and take up at most this share of its lines more.
+_EMPTY, _STRAY = 10.0, 0.005
+#: Further shares, tried in this order, for clouds so wide that few cells of a grid would be left for the place: the 0.97
+#: quantile of the distances is beyond ``_WIDE`` times the median (at most 45 times in the scenes of ``shared/scenes``).
+_LOOSE, _WIDE = (0.03, 0.15), 100.0
 #: Least lines of a place, and least share of all lines.
 _LEAST, _SHARE = 50, 0.05
 #: A few lines, at most this share, are cut off if one of them is beyond this multiple of the distance of the others:
@@ -97,22 +98,33 @@ def _place(
 def _radius(apart: Float[np.ndarray, " lines"], least: float) -> float | None:
     """Radius of the ball around a place that stands alone, from the distances of all lines; None if it does not."""
     ordered = np.maximum(np.sort(apart), least)
-    wide = ordered[int((1 - _FEW) * len(apart))] > _WIDE * ordered[len(apart) // 2]
-    inside = np.arange(max(_LEAST, int(np.ceil(_SHARE * len(apart)))), len(apart))
-    after = inside + ((_LOOSE if wide else _STRAY) * inside).astype(np.int64)
-    inside, after = inside[after < len(apart)], after[after < len(apart)]
-    if len(inside) == 0 or ordered[0] == ordered[-1]:
+    if ordered[0] == ordered[-1]:
         return None
-    ends = after - inside < len(apart) - after
-    growth = np.where(ends, ordered[after] / ordered[inside - 1], 0.0)
-    best = int(growth.argmax())
-    if growth[best] >= _EMPTY:
-        return float(np.sqrt(ordered[inside[best] - 1]) * np.sqrt(ordered[after[best]]))
+    wide = ordered[int((1 - _FEW) * len(apart))] > _WIDE * ordered[len(apart) // 2]
+    for stray in (_STRAY, *(_LOOSE if wide else ())):
+        radius = _before_empty(ordered, stray)
+        if radius is not None:
+            return radius
     most = min(int((1 - _FEW) * len(apart)), len(apart) - 2)
     if most < _LEAST or ordered[-1] < _BEYOND * ordered[most]:
         return None
     cut = most + int((ordered[most + 1 :] / ordered[most:-1]).argmax())
     return float(np.sqrt(ordered[cut]) * np.sqrt(ordered[cut + 1]))
+
+
+def _before_empty(ordered: Float[np.ndarray, " lines"], stray: float) -> float | None:
+    """Radius within the widest empty space, in which at most ``stray`` of the lines before it are; None if it is not
+    wide, or not more lines are behind it than in it."""
+    count = len(ordered)
+    inside = np.arange(max(_LEAST, int(np.ceil(_SHARE * count))), count)
+    after = inside + (stray * inside).astype(np.int64)
+    some = count - after > after - inside
+    inside, after = inside[some], after[some]
+    if len(inside) == 0:
+        return None
+    near, far = ordered[inside - 1], ordered[after]
+    best = int((far / near).argmax())
+    return float(np.sqrt(near[best]) * np.sqrt(far[best])) if far[best] >= _EMPTY * near[best] else None
 
 
 def _elsewhere(
