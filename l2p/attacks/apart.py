@@ -86,28 +86,30 @@ def described(lines: LineCloud, parts: Sequence[Int[np.ndarray, " lines"]]) -> l
     return found
 
 
-def sentence(info: dict[str, Any]) -> str:
-    """Say that a map has parts far apart; empty if it has one only.
+def apart_words(info: dict[str, Any]) -> str:
+    """Say that the parts of a map were attacked by themselves; empty if it has one only.
 
-    Parameters
-    ----------
-    info : dict
-        That of a recovery: ``parts`` are those of :func:`described`.
-
-    Examples
-    --------
-    >>> print(sentence({"parts": [{"lines": 900, "size": 2.0}, {"lines": 100, "size": 5e4}]}))
-    100 of 1,000 lines lie far outside the largest part of the map (900 lines): each of the 2 parts was attacked by \
-itself, and what is said of 1 spacing is that of the whole map.
+    ``info`` is that of a recovery; its ``parts`` are those of :func:`described`.
     """
-    parts = info.get("parts", [])
+    parts = [part["lines"] for part in info.get("parts", [])]
     if not parts:
         return ""
-    first, count = parts[0]["lines"], sum(part["lines"] for part in parts)
-    lie = "line lies" if count - first == 1 else "lines lie"
     return (
-        f"{count - first:,} of {count:,} {lie} far outside the largest part of the map ({first:,} lines): each of the "
-        f"{len(parts)} parts was attacked by itself, and what is said of 1 spacing is that of the whole map."
+        f"{far_words(parts)}. Each of the {len(parts)} parts was attacked by itself; the confidence is about 1 spacing "
+        "of the whole map."
+    )
+
+
+def far_words(parts: Sequence[int]) -> str:
+    """Say how many lines are not in the largest part, from the lines of each.
+
+    >>> far_words([900, 99, 1])
+    '100 of 1,000 lines lie far outside the largest part of the map (900 lines)'
+    """
+    far = sum(parts) - parts[0]
+    return (
+        f"{far:,} of {sum(parts):,} lines {'lies' if far == 1 else 'lie'} far outside the largest part of the map "
+        f"({parts[0]:,} lines)"
     )
 
 
