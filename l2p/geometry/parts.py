@@ -21,7 +21,7 @@ from l2p.maps.lines import LineCloud
 #: A place stands alone if a ball around it can grow by this factor and take up at most this share of its lines more.
 _EMPTY, _STRAY = 10.0, 0.005
 #: Further shares, tried in this order, for clouds so wide that few cells of a grid would be left for the place: the
-#: 0.97 quantile of the distances is beyond ``_WIDE`` times the median (at most 45 times in the scenes of ``shared/scenes``).
+#: 0.97 quantile of the distances is beyond ``_WIDE`` times the median (at most 45 times in ``shared/scenes``).
 _LOOSE, _WIDE = (0.03, 0.15), 100.0
 #: Least lines of a place, and least share of all lines.
 _LEAST, _SHARE = 50, 0.05

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-#: Steps of single precision over the extent of the points, above which they are coarse: the map lies many times its size
-#: away from the origin, as in coordinates of a country.
+#: Steps of single precision over the extent of the points, above which they are coarse: the map lies many times its
+#: size away from the origin, as in coordinates of a country.
 _COARSE = 1e-6
 #: Steps over the extent of the points, above which they are worth a sentence.
 _NOTICED = 1e-3
@@ -75,10 +75,8 @@ def resolution_words(points: Float[np.ndarray, "points 3"], noticed: float | Non
     step = resolution(points)
     if max(step) <= (_NOTICED * _extent(points) if noticed is None else noticed):
         return ""
-    each = ", ".join(
-        f"{size:.2g} in {axis}" if size else f"none in {axis}" for axis, size in zip("xyz", step, strict=True)
-    )
-    return f"coordinates have steps of {each}"
+    each = [f"{size:.2g} in {axis}" for axis, size in zip("xyz", step, strict=True)]
+    return f"coordinates have steps of {', '.join(each)}"
 
 
 def _extent(points: Float[np.ndarray, "points 3"]) -> float:
