@@ -32,7 +32,7 @@ class Attacked(NamedTuple):
 
 def parts_for(
     lines: LineCloud, attack: Attack, known: str, recognised: Recognition
-) -> list[Int[np.ndarray, " lines"]] | None:
+) -> list[Int[np.ndarray, " _"]] | None:
     """Rows of the parts that are attacked one by one; None if the lines are one part, or no parts can be told.
 
     Lines through a few centres are all near these, however far their points are; lines that are not uniform may pass
@@ -44,7 +44,7 @@ def parts_for(
     return parts if len(parts) > 1 else None
 
 
-def together(attacked: Sequence[Attacked], parts: Sequence[Int[np.ndarray, " lines"]], attack: Attack) -> Attacked:
+def together(attacked: Sequence[Attacked], parts: Sequence[Int[np.ndarray, " _"]], attack: Attack) -> Attacked:
     """Put the points of all parts in the order of the lines.
 
     The confidence is about 1 spacing of the whole map, as the recovered points tell it: the points of a part that is
@@ -75,7 +75,7 @@ def together(attacked: Sequence[Attacked], parts: Sequence[Int[np.ndarray, " lin
     return Attacked(xyz, beta, line[order], np.concatenate(colours)[order] if colours else None, estimate)
 
 
-def described(lines: LineCloud, parts: Sequence[Int[np.ndarray, " lines"]]) -> list[dict[str, Any]]:
+def described(lines: LineCloud, parts: Sequence[Int[np.ndarray, " _"]]) -> list[dict[str, Any]]:
     """Lines, centre and size (median distance of the lines from it) of each part, scene units; plain values."""
     found = []
     for part in parts:

@@ -254,9 +254,10 @@ def sparser(audit: Audit) -> str:
     if len(audit.fractions) < 2 or audit.points <= FEW_POINTS:
         return ""
     trial, bare = audit.strongest[-1], audit.trials[-1]
+    lines = f"{count(len(trial))} line{'' if len(trial) == 1 else 's'}"
     return (
-        f"If only {fraction(trial.fraction)} of the points are published ({count(len(trial))} {'line' if len(trial) == 1 else 'lines'}), "
-        f"{_share(trial)}{' of these' if len(trial) > _SINGLE_LINES else ''} are recovered within 1 spacing"
+        f"If only {fraction(trial.fraction)} of the points are published ({lines}), "
+        f"{_share(trial)}{' of these' if '%' in _share(trial) else ''} are recovered within 1 spacing"
         f"{f', and {_share(bare)} from the lines alone' if trial.used else ''}."
     )
 

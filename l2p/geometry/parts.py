@@ -39,12 +39,12 @@ _SAMPLE = 2000
 _MOST = 8
 
 
-def parts_of(cloud: LineCloud) -> list[Int[np.ndarray, " lines"]]:
+def parts_of(cloud: LineCloud) -> list[Int[np.ndarray, " _"]]:
     """Divide lines by the places of their points; one part for ordinary maps.
 
     Returns
     -------
-    list of (lines,) int64
+    list of int64 arrays
         Rows of the lines of each part in ascending order; the part with the most lines comes first.
 
     Notes
@@ -123,8 +123,10 @@ def _before_empty(ordered: Float[np.ndarray, " lines"], stray: float) -> float |
     if len(inside) == 0:
         return None
     near, far = ordered[inside - 1], ordered[after]
-    best = int((far / near).argmax())
-    return float(np.sqrt(near[best]) * np.sqrt(far[best])) if far[best] >= _EMPTY * near[best] else None
+    # Lines that meet in one point are at the least distance: a point is no place.
+    growth = np.where(near > ordered[0], far / near, 0.0)
+    best = int(growth.argmax())
+    return float(np.sqrt(near[best]) * np.sqrt(far[best])) if growth[best] >= _EMPTY else None
 
 
 def _elsewhere(
@@ -135,13 +137,20 @@ def _elsewhere(
     counted = rng.permutation(len(direction))[:_COUNTED]
     direction, moment = direction[counted], moment[counted]
     first, second = rng.integers(len(counted), size=(2, _PAIRS))
+    centers = _closest(direction, moment, first, second)
+    apart = np.linalg.norm(moment - np.cross(centers[:, None], direction), axis=2)
+    ordered = np.maximum(np.sort(apart, axis=1), least)
+    # Few places stand alone, so the growth of all balls is looked at together first.
+    inside = np.arange(min(_LEAST, len(counted)), len(counted))
+    inside = inside[inside + (_STRAY * inside).astype(np.int64) < len(counted)]
+    after = inside + (_STRAY * inside).astype(np.int64)
+    promising = (ordered[:, after] >= _EMPTY * ordered[:, inside - 1]).any(axis=1)
     found = None
-    for center in _closest(direction, moment, first, second):
-        apart = distances(direction, moment, center)
-        radius = _radius(apart, least)
-        size = 0 if radius is None else int((apart <= radius).sum())
+    for row in np.flatnonzero(promising):
+        radius = _before_empty(ordered[row], _STRAY)
+        size = 0 if radius is None else int((apart[row] <= radius).sum())
         if radius is not None and (found is None or size > found[2]):
-            found = center, radius, size
+            found = centers[row], radius, size
     return None if found is None else found[:2]
 
 
