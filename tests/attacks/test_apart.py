@@ -41,7 +41,7 @@ def test_the_rest_comes_back_as_without_far_points(near: np.ndarray, count: int,
 
 
 def test_both_of_two_rooms_come_back_with_neighbours_of_their_own(near: np.ndarray) -> None:
-    recovery, error, index = with_far(near, near[:400] + [3e4, 2e4, 1e4])
+    recovery, error, index = with_far(near, near[:400] + np.array([3e4, 2e4, 1e4]))
     scale = 0.1 * np.ptp(near, axis=0).max()
     first = index < len(near)
     assert (error[first] < scale).mean() > 0.6 and (error[~first] < scale).mean() > 0.5

@@ -39,6 +39,6 @@ def test_ordinary_maps_need_no_words(points: np.ndarray, kind: type) -> None:
 
 
 def test_two_floors_are_no_step(points: np.ndarray) -> None:
-    flat = (points + [1e4, 1e4, 0]).astype(np.float32).astype(np.float64)
+    flat = (points + np.array([1e4, 1e4, 0])).astype(np.float32).astype(np.float64)
     flat[:, 2] = np.where(points[:, 2] < 10, 0.0, 4.0)
     assert lattice_step(flat)[:, 2].max() < 1e-5
