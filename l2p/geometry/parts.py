@@ -28,7 +28,8 @@ _LEAST, _SHARE = 50, 0.05
 #: A few lines, at most this share, are cut off if one of them is beyond this multiple of the distance of the others:
 #: single precision could not hold both.
 _FEW, _BEYOND = 0.03, 1e4
-#: Smallest ball, over the median distance of all lines: points that coincide are no place.
+#: Smallest ball, over the median distance of all lines: below it, distances are rounding. Lines that meet in one point
+#: are recognised before (:mod:`l2p.schemes.recognition`), and not divided.
 _SMALLEST = 1e-7
 #: Where the middle of all lines is in no place, pairs of lines are tried: the middle of their closest points is in the
 #: place of both if they have one. Number of pairs, and of lines that are counted.

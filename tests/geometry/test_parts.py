@@ -56,11 +56,6 @@ def test_a_few_lines_are_one_part(count: int) -> None:
     assert [len(part) for part in parts_of(l2p.lift(room(count), seed=0))] == [count]
 
 
-def test_points_that_coincide_are_no_part() -> None:
-    points = np.concatenate([room(300), np.zeros((100, 3))])
-    assert len(found(points)) == 1
-
-
 @pytest.mark.parametrize("size", [1e4, 1e14])
 def test_the_frame_is_that_of_the_near_points(size: float) -> None:
     lines = l2p.lift(np.concatenate([room(600), size * directions(3)]), seed=0)
