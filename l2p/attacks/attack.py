@@ -97,7 +97,8 @@ class Estimate(NamedTuple):
 
     ``confidence`` is in [0, 1], 0 where a line had no vote: its point is at the foot. ``neighbors`` is -1 and
     ``affinity`` 0 where a line has fewer than k neighbours. ``element`` is the line of each position, for attacks that
-    place several points or none on a line; None: one point per line, in order.
+    place several points or none on a line; None: one point per line, in order. ``logits``, if an attack has them, are
+    those that the error is within each of its radii: from them follows the confidence for another spacing.
     """
 
     beta: Float[Tensor, " points"]
@@ -105,6 +106,7 @@ class Estimate(NamedTuple):
     neighbors: Int[Tensor, "points k"]
     affinity: Float[Tensor, "points k"]
     element: Int[Tensor, " points"] | None = None
+    logits: Float[Tensor, "points radii"] | None = None
 
 
 class Attack:
@@ -125,6 +127,9 @@ class Attack:
         they were uniform.
     scheme : str
         Scheme that its confidence was calibrated on.
+    by_part : bool
+        True: parts of a map that lie far apart (:mod:`l2p.geometry.parts`) are attacked one by one, each as if it were
+        a map. False: the attack gets all lines at once, as a reference must that knows the point of each.
     """
 
     rounds: int = 0
@@ -133,6 +138,7 @@ class Attack:
     columns: Mapping[str, tuple[int, ...]] = {}
     schemes: tuple[str, ...] = (UNIFORM,)
     scheme: str = UNIFORM
+    by_part: bool = False
 
     def for_scheme(self, scheme: str) -> Attack:
         """Return the attack on lines of one of ``schemes``; the same one by default."""
@@ -169,6 +175,14 @@ class Attack:
     def finish(self, state: Any, work: Work) -> Estimate:
         """Place the points of this process's lines, ``work.own``."""
         raise NotImplementedError
+
+    def within(self, estimate: Estimate, ratio: float) -> Float[Tensor, " points"]:
+        """Return the confidence of lying within ``ratio`` spacings, where that of the estimate is for 1 spacing.
+
+        By default in proportion to the ratio, if it is below 1: enough to rank the points of a part of a map that is
+        less dense than the others.
+        """
+        return estimate.confidence * min(1.0, ratio)
 
     def settings(self) -> dict[str, Any]:
         """Return the settings of the attack as plain values, for the record."""

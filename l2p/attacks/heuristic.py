@@ -78,6 +78,7 @@ class Heuristic(Attack):
     published code does neither, which favours it (``docs/``, "Fairness").
     """
 
+    by_part = True
     columns: Mapping[str, tuple[int, ...]] = {"beta": ()}
 
     def __init__(self, config: HeuristicConfig | None = None) -> None:

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from l2p.attacks.apart import Attacked, described, parts_for, together
 from l2p.attacks.attack import Attack, Elements, Estimate, locate
 from l2p.attacks.by_scheme import by_own_attack, recover_own
 from l2p.attacks.named import named_attack
@@ -26,7 +27,7 @@ from l2p.geometry.frame import Frame
 from l2p.io.given_map import GivenMap, given_map
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
-from l2p.schemes.recognition import UNIFORM, recognise
+from l2p.schemes.recognition import UNIFORM, Recognition, recognise
 from l2p.version import __version__
 from l2p.work.memory import allotted
 from l2p.work.progress import NO_PROGRESS, Progress
@@ -135,13 +136,59 @@ def run(
     if len(lines) == 0:
         raise InputError("got a line cloud without lines; expected at least one line")
     where, began = usable_device(device), time.perf_counter()
-    room = _room(attack, where, memory, len(lines), work)
+    # Told early, before lines are looked at, if they cannot fit.
+    _room(attack, where, memory, len(lines), work)
     recognised = recognise(lines)
     known = recognised.scheme if recognised.scheme in attack.schemes else UNIFORM
+    parts = parts_for(lines, attack, known, recognised)
+    if parts is None:
+        found = _attacked(lines, attack, known, recognised, where, memory, work, name)
+    else:
+        # Other processes and the journal serve the largest part, the others are small or few.
+        works = [work, *(Work(progress=work.progress) for _ in parts[1:])]
+        each = [
+            _attacked(lines.rows(part), attack, known, recognised, where, memory, own, name)
+            for part, own in zip(parts, works, strict=True)
+        ]
+        found = together(each, parts, attack.for_scheme(known))
+    attack, estimate = attack.for_scheme(known), found.estimate
+    info = {
+        "method": name or type(attack).__name__,
+        "settings": attack.settings(),
+        "used": list(attack.uses(lines.appearance)),
+        "recognised": recognised.as_dict(),
+        "device": str(where),
+        "seconds": time.perf_counter() - began,
+        **({} if parts is None else {"parts": described(lines, parts)}),
+    }
+    return Recovery(
+        xyz=found.xyz,
+        confidence=estimate.confidence.float().cpu().numpy(),
+        beta=found.beta,
+        rgb=found.rgb,
+        neighbors=estimate.neighbors.cpu().numpy().astype(np.int64),
+        affinity=estimate.affinity.float().cpu().numpy(),
+        info=info,
+        # The calibration on uniform lines says nothing about others; those on pairs and rays are off by more than 0.05
+        # on some maps (docs/results-schemes.md), so that their confidence only ranks.
+        calibrated=attack.calibrated and recognised.expected and attack.scheme == UNIFORM,
+        element=found.line,
+    )
+
+
+def _attacked(
+    lines: LineCloud,
+    attack: Attack,
+    known: str,
+    recognised: Recognition,
+    where: torch.device,
+    memory: float | None,
+    work: Work,
+    name: str,
+) -> Attacked:
+    """Attack lines, all of a map or those of a part, as lines of the scheme ``known``."""
     single, line = expanded(lines, known)
-    if len(single) > len(lines):
-        room = _room(attack, where, memory, len(single), work)
-    work = replace(work, room=room)
+    work = replace(work, room=_room(attack, where, memory, len(single), work))
     work.shards.check(len(single))
     work.journal.begin(_about(single, attack, name))
     frame = frame_of(lines, known, recognised)
@@ -155,27 +202,7 @@ def run(
     own = np.arange(len(single)) if estimate.element is None else estimate.element.cpu().numpy()
     placed = single if estimate.element is None else single.rows(own)
     beta = frame.leave(placed, estimate.beta)
-    info = {
-        "method": name or type(attack).__name__,
-        "settings": attack.settings(),
-        "used": list(attack.uses(lines.appearance)),
-        "recognised": recognised.as_dict(),
-        "device": str(where),
-        "seconds": time.perf_counter() - began,
-    }
-    return Recovery(
-        xyz=placed.at(beta),
-        confidence=estimate.confidence.float().cpu().numpy(),
-        beta=beta,
-        rgb=placed.rgb,
-        neighbors=estimate.neighbors.cpu().numpy().astype(np.int64),
-        affinity=estimate.affinity.float().cpu().numpy(),
-        info=info,
-        # The calibration on uniform lines says nothing about others; those on pairs and rays are off by more than 0.05
-        # on some maps (docs/results-schemes.md), so that their confidence only ranks.
-        calibrated=attack.calibrated and recognised.expected and attack.scheme == UNIFORM,
-        element=line[own],
-    )
+    return Attacked(placed.at(beta), beta, line[own], placed.rgb, estimate)
 
 
 def assist(attack: Attack, shards: Shards, *, device: str = "cpu", memory: float | None = None) -> None:
@@ -198,7 +225,8 @@ def assist(attack: Attack, shards: Shards, *, device: str = "cpu", memory: float
 def _collected(estimate: Estimate, count: int, work: Work) -> Estimate:
     """Collect the estimates of all ranks on rank 0; ``element`` counts all lines."""
     if estimate.element is None:
-        return Estimate(*(work.shards.collect(column, count) for column in estimate[:4]))
+        logits = None if estimate.logits is None else work.shards.collect(estimate.logits, count)
+        return Estimate(*(work.shards.collect(column, count) for column in estimate[:4]), logits=logits)
     if work.shards.processes > 1:
         raise InputError(
             "got an attack that places several points on a line, or none; expected one process for it, so leave out "
@@ -214,7 +242,8 @@ def _in_map_order(estimate: Estimate, row: Int[Tensor, " lines"]) -> Estimate:
     near = estimate.neighbors[order]
     named = row[near.clamp_min(0).long()].to(near.dtype).masked_fill(near < 0, -1)
     element = None if estimate.element is None else line[order]
-    return Estimate(estimate.beta[order], estimate.confidence[order], named, estimate.affinity[order], element)
+    logits = None if estimate.logits is None else estimate.logits[order]
+    return Estimate(estimate.beta[order], estimate.confidence[order], named, estimate.affinity[order], element, logits)
 
 
 def _room(attack: Attack, where: torch.device, memory: float | None, lines: int, work: Work) -> int | None:

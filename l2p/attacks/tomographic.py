@@ -69,6 +69,7 @@ class Tomography(Attack):
 
     schemes = STRUCTURED
 
+    by_part = True
     columns: Mapping[str, tuple[int, ...]] = {"beta": ()}
     line_bytes = LINE_BYTES
 

@@ -10,6 +10,7 @@ from jaxtyping import UInt8
 
 from l2p.auditing.attackers import Attacker
 from l2p.judging.curves import Curves
+from l2p.judging.intervals import interval
 from l2p.judging.scores import Scores
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
@@ -105,6 +106,7 @@ class Trial:
             "lines": len(self),
             "attack": self.recovery.info,
             "scores": None if self.scores is None else self.scores.as_dict(),
+            "within_interval": None if self.scores is None else interval(self.scores.within_spacings["1"], len(self)),
             "prediction": None if self.prediction is None else asdict(self.prediction),
             "curves": self.curves.as_dict(),
         }

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from l2p.attacks.apart import apart_words
 from l2p.auditing.attackers import Attacker, named
 from l2p.auditing.audit import Audit
 from l2p.auditing.published_again import EXACT
 from l2p.auditing.trial import Trial
-from l2p.show.page.numbers import count, fraction, length, percent
+from l2p.judging.intervals import interval
+from l2p.schemes.rounding import resolution_words
+from l2p.show.page.numbers import SPACE, count, fraction, length, percent
 
+#: Points of a map, at most, whose spacing is about the size of the map: that is the distance to the 50th neighbour.
+FEW_POINTS = 100
+#: Lines below which a share is told with its interval, and below which nobody can tell what an attacker knows.
+_COUNTED, _FEW_LINES = 1000, 100
+#: Lines up to which points are counted: of three lines, a share says nothing.
+_SINGLE_LINES = 20
+#: Share of a spacing above which the steps of the coordinates are worth a sentence.
+_STEP = 0.02
 #: Least gain in the share within 1 spacing, from all points to the most confident half, that is called informative.
 _TELLING = 0.02
 
@@ -16,7 +29,20 @@ def sentences(audit: Audit) -> list[str]:
     """Return all sentences, the headline first."""
     return [
         each
-        for make in (headline, again, unexpected, region, left_out, alone, savings, typical, sparser)
+        for make in (
+            headline,
+            chance,
+            apart,
+            steps,
+            again,
+            unexpected,
+            region,
+            left_out,
+            alone,
+            savings,
+            typical,
+            sparser,
+        )
         if (each := make(audit))
     ]
 
@@ -28,6 +54,8 @@ def headline(audit: Audit) -> str:
     within, half = trial.within, trial.confident_half
     spacing = f"1 spacing ({length(audit.spacing, audit.metric)})"
     knowing = f"With the {named(trial.used)} beside the lines, " if trial.used else ""
+    if audit.points <= FEW_POINTS:
+        return _tiny(audit)
     if within is None:
         return f"{knowing}{count(len(trial))} points were recovered, but how many of them are right is not known."
     of = "points"
@@ -42,7 +70,55 @@ def headline(audit: Audit) -> str:
             f"within {spacing}; among the most confident half, {percent(half)}."
         )
     recovered = f"{knowing}{percent(within)} of the {of} are recovered within {spacing}"
-    return f"{recovered}." if half is None else f"{recovered}; {_knowledge(within, half)} of the time."
+    return (
+        f"{recovered}."
+        if half is None or len(trial) < _FEW_LINES
+        else f"{recovered}; {_knowledge(within, half)} of the time."
+    )
+
+
+def _tiny(audit: Audit) -> str:
+    """Headline of a map of a few points, whose spacing is about its size: errors over the size, or nothing."""
+    trial = audit.trials[0]
+    what = "points" if audit.known else "lines"
+    few = (
+        f"The map has {count(audit.points)} {what if audit.points != 1 else what[:-1]}, too few to measure by a spacing"
+    )
+    if trial.scores is None or trial.truth is None:
+        return f"{few}: how many of them come back is not known."
+    size = float(np.linalg.norm(np.ptp(trial.truth.xyz, axis=0)))
+    return (
+        f"{few}: the median error is {length(trial.scores.median, audit.metric)} in a map that is "
+        f"{length(size, audit.metric)} across."
+    )
+
+
+def chance(audit: Audit) -> str:
+    """Interval of the headline's share, if it was measured on few lines; empty for others."""
+    trial = audit.trials[0]
+    if audit.points <= FEW_POINTS or trial.scores is None or trial.within is None or len(trial) >= _COUNTED:
+        return ""
+    low, high = interval(trial.within, len(trial))
+    return (
+        f"On {count(len(trial))} lines, {percent(low)} to {percent(high)} would be no surprise (95{SPACE}% interval)."
+    )
+
+
+def apart(audit: Audit) -> str:
+    """Lines that lie far outside the rest; empty for ordinary maps."""
+    return apart_words(audit.trials[0].recovery.info)
+
+
+def steps(audit: Audit) -> str:
+    """Steps of the coordinates, if they are a part of a spacing that shows; empty if not, or without the points."""
+    truth = audit.trials[0].truth
+    words = "" if truth is None else resolution_words(truth.xyz, _STEP * audit.spacing)
+    if not words:
+        return ""
+    return (
+        f"The {words}, in scene units: each point is moved within its step before it is lifted, so that smaller errors "
+        "cannot be measured."
+    )
 
 
 def unexpected(audit: Audit) -> str:
@@ -175,16 +251,20 @@ def typical(audit: Audit) -> str:
 
 def sparser(audit: Audit) -> str:
     """Share recovered at the smallest fraction of the map; empty if only one fraction was tried."""
-    if len(audit.fractions) < 2:
+    if len(audit.fractions) < 2 or audit.points <= FEW_POINTS:
         return ""
     trial, bare = audit.strongest[-1], audit.trials[-1]
+    lines = f"{count(len(trial))} line{'' if len(trial) == 1 else 's'}"
     return (
-        f"If only {fraction(trial.fraction)} of the points are published ({count(len(trial))} lines), "
-        f"{_share(trial)} of these are recovered within 1 spacing"
+        f"If only {fraction(trial.fraction)} of the points are published ({lines}), "
+        f"{_share(trial)}{' of these' if '%' in _share(trial) else ''} are recovered within 1 spacing"
         f"{f', and {_share(bare)} from the lines alone' if trial.used else ''}."
     )
 
 
 def _share(trial: Trial) -> str:
+    """Share within 1 spacing; of a few lines, their number."""
     assert trial.within is not None
+    if trial.scores is not None and len(trial) <= _SINGLE_LINES:
+        return f"{round(trial.within * len(trial))} of {len(trial)}"
     return percent(trial.within)

@@ -19,6 +19,7 @@ from l2p.judging.accuracy import spacing
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Hiding
 from l2p.schemes.hide import hide
+from l2p.schemes.rounding import resolution_words
 from l2p.schemes.scheme import DEFAULT_SCHEME, published_by
 from l2p.show.tables import descriptor_text, element_name
 from l2p.utility import POINTS
@@ -53,6 +54,9 @@ def lift(arguments: Namespace) -> None:
     print(f"{arguments.output}: {made} of {len(scene)} points")
     if left_out:
         print(left_out)
+    resolution = resolution_words(scene.xyz)
+    if resolution:
+        print(f"{resolution}: each point is moved within its step, and is known no better than that")
     if source is not None:
         print(f"descriptors of {printable(str(source))}: {descriptor_text(hidden.map.appearance)}")
     warn_of_leaks(arguments.scene)

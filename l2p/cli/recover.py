@@ -132,6 +132,11 @@ def _warn_of_lines(recovery: Recovery) -> None:
     if "sentence" in recovery.info:
         print(f"l2p: {recovery.info['sentence']}", file=sys.stderr)
         return
+    from l2p.attacks.apart import apart_words
+
+    apart = apart_words(recovery.info)
+    if apart:
+        print(f"l2p: {apart}", file=sys.stderr)
     found = recovery.info.get("recognised")
     if found is not None and not found["expected"]:
         print(" ".join(["l2p:", found["sentence"], *([] if recovery.calibrated else [NOT_STATED])]), file=sys.stderr)

@@ -27,9 +27,14 @@ from l2p.maps.short_repr import short_repr
 #: Binary digits after the point that rounding leaves to directions and to feet in frame units (fewer to feet beyond 1
 #: unit): 2^-22 of the unit is far below any spacing.
 DIGITS = 22
-#: Most steps in the search of the centre, and the step, over the mean distance of the lines, at which it stops.
+#: Most steps in the search of the centre, and the step, over the typical distance of the lines, at which it stops.
 _ROUNDS = 100
 _TOLERANCE = 1e-15
+#: The typical distance is the mean, unless it exceeds the median by this factor.
+_HEAVY = 100.0
+#: Most first points of the search, and the distance, over the median distance of the lines, from which its result is
+#: the first point of another search.
+_STARTS, _NEAR = 3, 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,26 +64,15 @@ class Frame:
 
         Notes
         -----
-        Iteratively reweighted least squares (Weiszfeld) on sum_i |(I - d d^T)(x - o_i)|, O(lines) per step. Parallel
-        lines and a single line leave a direction free; there, the step is the one of least norm from the mean foot.
+        The centre is that of :func:`middle`. Lines whose points lie far from all others hardly move it, and not the
+        unit, as long as they are fewer than half; :mod:`l2p.geometry.parts` finds parts of a map that lie far apart.
         """
-        # Feet relative to a point amid the lines, so that no digits are lost far from the origin.
-        start = meeting_point(cloud.direction, cloud.origin, np.ones(len(cloud)))
-        foot = np.cross(cloud.direction, cloud.moment - np.cross(start, cloud.direction))
-        step = np.zeros(3)
-        for _ in range(_ROUNDS):
-            distance = _distance(cloud.direction, foot, step)
-            # The floor keeps the weights of lines that pass through the centre itself, and their sum, finite.
-            weight = 1 / np.maximum(distance, 1e-6 * distance.mean() + np.finfo(float).tiny ** 0.5)
-            moved = meeting_point(cloud.direction, foot, weight)
-            done = np.linalg.norm(moved - step) <= _TOLERANCE * distance.mean()
-            step = moved
-            if done:
-                break
+        center, step, foot = _middle(cloud.direction, cloud.moment)
         median = float(np.median(_distance(cloud.direction, foot, step)))
-        scale = float(np.abs(foot).max(initial=0.0))
-        unit = median if median > 1e-12 * scale else (scale or 1.0)
-        return cls.about(cloud, start + step, unit)
+        size = np.abs(foot).max(axis=1, initial=0.0)
+        # Lines that all meet in the centre have only rounding for a median.
+        unit = median if median > 1e-12 * np.median(size) else (float(size.max(initial=0.0)) or 1.0)
+        return cls.about(cloud, center, unit)
 
     @classmethod
     def about(cls, cloud: LineCloud, center: Float[np.ndarray, "3"], unit: float) -> Frame:
@@ -123,6 +117,56 @@ class Frame:
         """Rounded directions in this frame, and the signs (-1 or 1) that make them canonical."""
         direction = _rounded(cloud.direction @ self.axes, 1.0)
         return direction, _sign(direction)
+
+
+def middle(direction: Float[np.ndarray, "lines 3"], moment: Float[np.ndarray, "lines 3"]) -> Float[np.ndarray, "3"]:
+    """The point with the least sum of distances to the lines.
+
+    Notes
+    -----
+    Iteratively reweighted least squares (Weiszfeld) on sum_i |(I - d d^T)(x - o_i)|, O(lines) per step. Parallel
+    lines and a single line leave a direction free; there, the step is the one of least norm from the mean foot.
+    """
+    return _middle(direction, moment)[0]
+
+
+def _middle(
+    direction: Float[np.ndarray, "lines 3"], moment: Float[np.ndarray, "lines 3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], Float[np.ndarray, "lines 3"]]:
+    """The same, its step from a point amid the lines, and the feet of the lines relative to that point."""
+    start = meeting_point(direction, np.cross(direction, moment), np.ones(len(direction)))
+    for _ in range(_STARTS):
+        # Feet relative to a point amid the lines, so that no digits are lost far from the origin.
+        foot = np.cross(direction, moment - np.cross(start, direction))
+        step = _step(direction, foot)
+        typical = float(np.median(_distance(direction, foot, step)))
+        # A few lines far away draw the first point, of least squares, away from all others.
+        if np.linalg.norm(step) <= _NEAR * typical:
+            break
+        start = start + step
+    return start + step, step, foot
+
+
+def _step(direction: Float[np.ndarray, "lines 3"], foot: Float[np.ndarray, "lines 3"]) -> Float[np.ndarray, "3"]:
+    """The point with the least sum of distances to lines whose feet are near the origin."""
+    step = np.zeros(3)
+    for _ in range(_ROUNDS):
+        distance = _distance(direction, foot, step)
+        typical = _typical(distance)
+        # The floor keeps the weights of lines that pass through the centre itself, and their sum, finite.
+        weight = 1 / np.maximum(distance, 1e-6 * typical + np.finfo(float).tiny ** 0.5)
+        moved = meeting_point(direction, foot, weight)
+        done = np.linalg.norm(moved - step) <= _TOLERANCE * typical
+        step = moved
+        if done:
+            break
+    return step
+
+
+def _typical(distance: Float[np.ndarray, " lines"]) -> float:
+    """Mean distance of the lines; the median, if far lines make the mean many times as large."""
+    mean, median = float(distance.mean()), float(np.median(distance))
+    return mean if mean <= _HEAVY * median or median == 0 else median
 
 
 def _rounded(

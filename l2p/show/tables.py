@@ -31,6 +31,7 @@ from l2p.maps.permuted import PermutedCloud
 from l2p.maps.planes import PlaneCloud
 from l2p.maps.scene import Scene
 from l2p.schemes.recognition import recognise
+from l2p.schemes.rounding import resolution_words
 from l2p.utility.localization import Localization
 
 if TYPE_CHECKING:
@@ -146,7 +147,14 @@ def _describe_hidden(cloud: LineCloud | PlaneCloud | PermutedCloud) -> list[tupl
     gives = f"the {what}; an attacker also uses the {names}" if names else f"the {what} alone"
     rows = [(what, str(len(cloud))), ("scheme", cloud.scheme), *known]
     if isinstance(cloud, LineCloud):
-        rows.insert(2, ("recognised", recognise(cloud).sentence))
+        from l2p.attacks.apart import far_words
+        from l2p.geometry.parts import parts_of
+
+        found = recognise(cloud)
+        rows.insert(2, ("recognised", found.sentence))
+        parts = parts_of(cloud) if found.expected else []
+        if len(parts) > 1:
+            rows.insert(3, ("far apart", far_words([len(part) for part in parts])))
     if isinstance(cloud, LineCloud) and cloud.second is not None:
         rows.append(("points of a line", "two, each with its own appearance"))
     return [*rows, ("gives away", gives)]
@@ -163,6 +171,7 @@ def _describe_scene(path: str | PathLike[str], scene: Scene) -> list[tuple[str, 
     return [
         ("points", str(len(scene))),
         *_extent(scene.xyz),
+        ("resolution", resolution_words(scene.xyz, noticed=0) or "double precision"),
         *_describe_appearance(scene.appearance),
         *_beside(path),
         ("ids", _yes(scene.ids)),

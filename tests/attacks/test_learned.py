@@ -224,7 +224,7 @@ def test_each_radius_has_a_calibration_of_its_own() -> None:
     method = attack(calibration={"lines": [[(7.0, 7.0)] * len(RADII), pairs]})
     upto = [a * sure[:, place] + b for place, (a, b) in enumerate(pairs)][: RADII.index(1.0) + 1]
     expected = torch.sigmoid(torch.stack(upto, dim=1).amax(dim=1))
-    torch.testing.assert_close(method.confidence(found(sure), "lines"), expected)
+    torch.testing.assert_close(method.confidence(method.calibrated_logits(found(sure), "lines")), expected)
 
 
 @pytest.mark.parametrize("relaxation", [-1.0, 0.0, 2.0, math.nan])

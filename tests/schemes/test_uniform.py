@@ -232,7 +232,7 @@ def test_a_scene_in_double_precision_lies_on_no_lattice(scale):
 def test_the_step_of_single_precision_is_that_of_the_largest_coordinate(scale):
     points = single(scale * np.random.default_rng(0).normal(size=(500, 3)))
     largest = np.abs(points).max(axis=1).astype(np.float32)
-    np.testing.assert_array_equal(lattice_step(points), np.spacing(largest))
+    np.testing.assert_array_equal(lattice_step(points), np.repeat(np.spacing(largest)[:, None], 3, axis=1))
 
 
 def test_far_points_do_not_coarsen_the_rounding_of_near_ones():

@@ -50,6 +50,9 @@ from l2p.schemes.recognition import UNIFORM
 from l2p.work.shards import BLOCK
 from l2p.work.work import ALONE, Work
 
+#: Least ratio of spacings of which a confidence is computed: 0 has no logarithm.
+_LEAST_RATIO = 1e-30
+
 
 class Round(NamedTuple):
     """Result of a round: estimates of all lines; candidates, affinities and logits of this process's lines.
@@ -106,6 +109,7 @@ class Learned(Attack):
     """
 
     schemes = STRUCTURED
+    by_part = True
 
     def __init__(
         self,
@@ -168,8 +172,9 @@ class Learned(Attack):
         own = work.own(len(state.elements))
         if self._rounds(state.elements):
             last = self.judge(state, work)
-            confidence = self.confidence(last, self.knowledge(state.elements))
-            return Estimate(last.estimates.beta[own], confidence, last.candidates, last.affinity)
+            logits = self.calibrated_logits(last, self.knowledge(state.elements))
+            confidence = self.confidence(logits)
+            return Estimate(last.estimates.beta[own], confidence, last.candidates, last.affinity, logits=logits)
         nodes, candidates = state.nodes, self.candidates(state, work)
         affinity = equal_weights(state.elements.lines, candidates)
         return Estimate(nodes.beta[own], nodes.confidence[own], candidates, affinity)
@@ -328,12 +333,27 @@ class Learned(Attack):
         """Uncalibrated confidence within 1 spacing, passed to the next round."""
         return torch.sigmoid(found[:, self.network.config.one])
 
-    def confidence(self, result: Round, known: str) -> Float[Tensor, " own"]:
-        """Calibrated probability that each point of the last round lies within 1 spacing of the map."""
+    def calibrated_logits(self, result: Round, known: str) -> Float[Tensor, "own radii"]:
+        """Calibrated logits that each point of the last round lies within each of the network's radii."""
         calibration = result.found.new_tensor(self.calibration[known][rounds_with(self.config, known) - 1])
-        logit = (calibration[:, 0] * result.found + calibration[:, 1]).cummax(dim=1).values
-        log_radius = math.log(spacing_ratio(self.fraction, self.config.dimension))
-        return torch.sigmoid(between_radii(logit, self.network.config.radii, log_radius))
+        return (calibration[:, 0] * result.found + calibration[:, 1]).cummax(dim=1).values
+
+    def within(self, estimate: Estimate, ratio: float) -> Float[Tensor, " points"]:
+        """Return the probability of lying within ``ratio`` spacings of the map whose part was attacked."""
+        if estimate.logits is None:
+            return super().within(estimate, ratio)
+        return self.confidence(estimate.logits, ratio)
+
+    def confidence(self, logits: Float[Tensor, "own radii"], ratio: float = 1.0) -> Float[Tensor, " own"]:
+        """Return the probability that each point lies within ``ratio`` spacings of the map, from calibrated logits."""
+        radii = self.network.config.radii
+        log_radius = math.log(spacing_ratio(self.fraction, self.config.dimension)) + math.log(max(ratio, _LEAST_RATIO))
+        found = torch.sigmoid(between_radii(logits, radii, min(log_radius, math.log(radii[-1]))))
+        below = log_radius - math.log(radii[0])
+        if ratio == 1 or below >= 0:
+            return found
+        # Far below the smallest radius the share within falls at least with the radius, whatever the slope of logits.
+        return found.minimum(torch.sigmoid(logits[:, 0]) * math.exp(below))
 
 
 def rounds_with(config: LearnedConfig, known: str) -> int:
