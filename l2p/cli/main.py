@@ -16,14 +16,13 @@ from l2p.cli.localize_flags import add_decision, add_localization
 from l2p.cli.parser import USER_ERROR, Parser, complain
 from l2p.cli.picture_flags import add_picture, add_views
 from l2p.cli.scheme_flags import add_scheme, scheme_table
+from l2p.cli.shared_flags import add_device, add_force, add_ignore, add_json, add_memory, add_threads, seed_of
 from l2p.cli.shown_once import warnings_shown_once
 from l2p.errors import InputError, LostProcessError, sentence
 from l2p.judging import CLEANING
-from l2p.maps import ATTRIBUTES
 from l2p.schemes.scheme import SCHEMES
 from l2p.show.page import MOST_POINTS
 from l2p.version import __version__
-from l2p.work.memory import SHARE
 
 #: Exit codes: a rank died, and Ctrl-C (128 + SIGINT).
 LOST, INTERRUPTED = 1, 130
@@ -125,7 +124,7 @@ def _add_lift(commands: Any) -> None:
     add_scheme(lift)
     lift.add_argument(
         "--seed",
-        type=_seed,
+        type=seed_of,
         metavar="S",
         help="seed of the directions and the subset; without it a fresh one comes from the system and is kept nowhere: "
         "whoever can guess the seed can redraw the directions and learn which line belongs to which point, so leave "
@@ -142,7 +141,7 @@ def _add_lift(commands: Any) -> None:
     )
     add_columns(lift)
     add_points(lift, "drop")
-    _add_force(lift)
+    add_force(lift)
 
 
 def _add_recover(commands: Any) -> None:
@@ -170,7 +169,7 @@ def _add_recover(commands: Any) -> None:
         help="scheme of lines whose file does not say it, as of lines through pairs: a name of l2p lift --scheme",
     )
     add_columns(recover)
-    _add_ignore(recover, "of the file")
+    add_ignore(recover, "of the file")
     _add_filters(recover)
     recover.add_argument(
         "--double",
@@ -181,14 +180,14 @@ def _add_recover(commands: Any) -> None:
     recover.add_argument(
         "--truth", metavar="TRUTH.npz", help="for a COLMAP model: which line is which point id (nothing else is used)"
     )
-    _add_device(recover)
+    add_device(recover)
     recover.add_argument(
         "--seed",
-        type=_seed,
+        type=seed_of,
         metavar="S",
         help="recorded with the result; no attack draws random numbers",
     )
-    _add_threads(recover)
+    add_threads(recover)
     recover.add_argument(
         "--processes",
         type=int,
@@ -200,9 +199,9 @@ def _add_recover(commands: Any) -> None:
         action="store_true",
         help="continue an interrupted run from OUT.state, if there is one",
     )
-    _add_memory(recover)
-    _add_json(recover, "STATS", "settings, seconds and confidences")
-    _add_force(recover)
+    add_memory(recover)
+    add_json(recover, "STATS", "settings, seconds and confidences")
+    add_force(recover)
 
 
 def _add_filters(recover: argparse.ArgumentParser) -> None:
@@ -228,19 +227,19 @@ def _add_evaluate(commands: Any) -> None:
     evaluate.add_argument("recovery", metavar="OUT.npz", help="recovery that l2p recover wrote")
     evaluate.add_argument("truth", metavar="TRUTH.npz", help="truth that l2p lift --truth wrote")
     evaluate.add_argument("--metric", action="store_true", help="the scene is in metres: also count within 1 to 50 cm")
-    _add_json(evaluate, "FILE", "the figures")
-    _add_force(evaluate)
+    add_json(evaluate, "FILE", "the figures")
+    add_force(evaluate)
 
 
 def _add_localize(commands: Any) -> None:
     localize = _command(commands, "localize", "tell how well the images of a model are localized in what is published")
     add_localization(localize)
     localize.add_argument(
-        "--seed", type=_seed, default=0, metavar="S", help="seed of the releases and samples (default: %(default)s)"
+        "--seed", type=seed_of, default=0, metavar="S", help="seed of the releases and samples (default: %(default)s)"
     )
-    _add_json(localize, "FILE", "the figures")
+    add_json(localize, "FILE", "the figures")
     localize.add_argument("--csv", metavar="FILE", help="write every query of every release as CSV")
-    _add_force(localize)
+    add_force(localize)
 
 
 def _add_audit(commands: Any) -> None:
@@ -270,7 +269,7 @@ def _add_audit(commands: Any) -> None:
         f"(default: {' '.join(f'{share:g}' for share in FRACTIONS)}); not with a line cloud",
     )
     audit.add_argument(
-        "--seed", type=_seed, default=0, metavar="S", help="seed of the line clouds (default: %(default)s)"
+        "--seed", type=seed_of, default=0, metavar="S", help="seed of the line clouds (default: %(default)s)"
     )
     add_method(audit, leave_out=("fraction",))
     audit.add_argument(
@@ -282,7 +281,7 @@ def _add_audit(commands: Any) -> None:
         "an npz scene has its own",
     )
     add_columns(audit)
-    _add_ignore(audit, "of the map")
+    add_ignore(audit, "of the map")
     add_points(audit, "drop")
     add_points(audit, "region")
     audit.add_argument(
@@ -311,11 +310,11 @@ def _add_audit(commands: Any) -> None:
         help="points of each cloud that the page draws; the figures count all (default: %(default)s)",
     )
     audit.add_argument("--open", action="store_true", help="show the page in the browser, where there is a display")
-    _add_device(audit)
-    _add_threads(audit)
-    _add_memory(audit)
-    _add_json(audit, "FILE", "the figures of audit.json")
-    _add_force(audit)
+    add_device(audit)
+    add_threads(audit)
+    add_memory(audit)
+    add_json(audit, "FILE", "the figures of audit.json")
+    add_force(audit)
 
 
 def _add_view(commands: Any) -> None:
@@ -330,15 +329,15 @@ def _add_view(commands: Any) -> None:
     add_columns(view)
     view.add_argument("--open", action="store_true", help="show the page of -o in the browser, too")
     view.add_argument("--window", action="store_true", help="open a window instead (Open3D; needs a display)")
-    _add_force(view)
+    add_force(view)
 
 
 def _add_picture(commands: Any) -> None:
     picture = _command(commands, "picture", "draw what a camera would have seen, from points or recovered ones")
     add_picture(picture)
-    _add_ignore(picture, "of the points")
-    _add_json(picture, "FILE", "the figures")
-    _add_force(picture)
+    add_ignore(picture, "of the points")
+    add_json(picture, "FILE", "the figures")
+    add_force(picture)
 
 
 def _add_info(commands: Any) -> None:
@@ -353,58 +352,5 @@ def _add_demo(commands: Any) -> None:
     demo.add_argument(
         "--points", type=int, default=20_000, metavar="N", help="points in the room (default: %(default)s)"
     )
-    demo.add_argument("--seed", type=_seed, default=3, metavar="S", help="seed of the room (default: %(default)s)")
-    _add_force(demo)
-
-
-def _seed(word: str) -> int:
-    """Parse a seed that random generators accept and files can hold."""
-    value = int(word) if word.strip().isdecimal() else -1
-    if not 0 <= value < 2**63:
-        raise argparse.ArgumentTypeError(f"got {word}; expected 0 to 2^63 - 1")
-    return value
-
-
-def _add_ignore(command: argparse.ArgumentParser, where: str) -> None:
-    command.add_argument(
-        "--ignore",
-        type=_attributes,
-        default=(),
-        metavar="NAMES",
-        help=f"attributes {where} to leave out, as if they were not published: some of {', '.join(ATTRIBUTES)}, comma "
-        "separated",
-    )
-
-
-def _attributes(words: str) -> tuple[str, ...]:
-    """Parse a comma-separated list of published attributes, in the order of ``ATTRIBUTES``."""
-    names = {word.strip() for word in words.split(",")}
-    if not names <= set(ATTRIBUTES):
-        raise argparse.ArgumentTypeError(f"got {words!r}; expected some of {', '.join(ATTRIBUTES)}, comma separated")
-    return tuple(name for name in ATTRIBUTES if name in names)
-
-
-def _add_device(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--device", default="cpu", help="torch device (default: %(default)s)")
-
-
-def _add_threads(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--threads", type=int, metavar="T", help="CPU threads (default: what torch chooses)")
-
-
-def _add_memory(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--memory",
-        type=float,
-        metavar="GIB",
-        help="most memory that the attack may take beyond what the program holds anyway; sets how much is done at a "
-        f"time, never what comes out (default: {100 * SHARE:g} %% of what is free)",
-    )
-
-
-def _add_json(command: argparse.ArgumentParser, metavar: str, what: str) -> None:
-    command.add_argument("--json", metavar=metavar, help=f"write {what} as JSON; - is stdout, in place of the table")
-
-
-def _add_force(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--force", action="store_true", help="replace outputs that exist")
+    demo.add_argument("--seed", type=seed_of, default=3, metavar="S", help="seed of the room (default: %(default)s)")
+    add_force(demo)
