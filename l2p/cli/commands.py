@@ -22,6 +22,7 @@ from l2p.cli.map_names import map_name
 from l2p.cli.outputs import check_attack, check_outputs, figures_file, file_of, say_taken, set_threads
 from l2p.cli.picture_command import picture as picture
 from l2p.cli.recover import recover as recover
+from l2p.cli.serve_command import serve
 from l2p.errors import InputError, sentence
 from l2p.io.atomic import atomic_file, check_folder
 from l2p.io.kinds import LINE_CLOUDS, Kind, kind_of
@@ -205,6 +206,9 @@ def view(arguments: Namespace) -> None:
     if arguments.window:
         check_window()
     check_outputs([arguments.file], [arguments.output], arguments.force)
+    if arguments.pictures or arguments.lines is not None:
+        serve(arguments)
+        return
     exhibit = Exhibit.load(arguments.file, arguments.columns)
     name = map_name(arguments.file) if os.path.isdir(arguments.file) else printable(os.path.basename(arguments.file))
     if arguments.window:

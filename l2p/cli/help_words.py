@@ -32,6 +32,11 @@ EXAMPLES: dict[str, tuple[str, str, str]] = {
         "audit.md",
     ),
     "view": ("l2p view recovered.ply -o page.html --open", "shows a recovery in the browser", "formats.md"),
+    "picture": (
+        "l2p picture recovered.npz --model sparse/0 --view IMG_0012.jpg -o seen.png",
+        "draws what an image of the model shows of the recovered points",
+        "pictures.md",
+    ),
     "info": ("l2p info lines.npz", "says what a file is, and what its lines give away", "formats.md"),
     "demo": ("l2p demo -o demo", "makes a room, hides it and recovers it; demo/demo.png shows it", "how-it-works.md"),
     "completion": (

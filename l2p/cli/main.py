@@ -328,6 +328,14 @@ def _add_view(commands: Any) -> None:
     )
     add_columns(view)
     view.add_argument("--open", action="store_true", help="show the page of -o in the browser, too")
+    view.add_argument(
+        "--pictures",
+        action="store_true",
+        help="serve the page to this machine until Ctrl-C: its button Stand here makes a picture of that place",
+    )
+    view.add_argument(
+        "--lines", metavar="LINES.npz", help="with --pictures of a recovery: its line cloud, for the descriptors"
+    )
     view.add_argument("--window", action="store_true", help="open a window instead (Open3D; needs a display)")
     add_force(view)
 

@@ -74,11 +74,9 @@ def _points_and_view(arguments: Namespace, kind: Kind) -> tuple[PicturePoints, V
     import numpy as np
 
     from l2p.images.panorama import rays_seen
-    from l2p.images.picture_points import points_of
     from l2p.images.views import panorama_view, placed_view, view_of
     from l2p.io.colmap import read_model
     from l2p.io.line_files import load_lines
-    from l2p.io.recovery_files import load_recovery
 
     up = np.array(arguments.up)
     size = arguments.size or (_PANORAMA if kind in LINE_CLOUDS else _SIZE)
@@ -86,15 +84,23 @@ def _points_and_view(arguments: Namespace, kind: Kind) -> tuple[PicturePoints, V
         points, center = rays_seen(load_lines(arguments.source), arguments.center)
         if arguments.view is None and arguments.at is None:
             return points, panorama_view(center, up, size[0])
-    elif kind is Kind.RECOVERY:
-        lines = None if arguments.lines is None else load_lines(arguments.lines)
-        points = points_of(load_recovery(arguments.source), lines)
     else:
-        points = points_of(_scene(arguments.source))
+        points = points_at(arguments.source, kind, arguments.lines)
     if arguments.view is not None:
         return points, view_of(read_model(arguments.model), arguments.view)
     at, toward = np.array(arguments.at), np.array(arguments.toward)
     return points, placed_view(at, toward, up, angle=arguments.angle, width=size[0], height=size[1])
+
+
+def points_at(path: str, kind: Kind, lines: str | None) -> PicturePoints:
+    """Read the points of a scene, or of a recovery with the descriptors of its lines."""
+    from l2p.images.picture_points import points_of
+    from l2p.io.line_files import load_lines
+    from l2p.io.recovery_files import load_recovery
+
+    if kind is Kind.RECOVERY:
+        return points_of(load_recovery(path), None if lines is None else load_lines(lines))
+    return points_of(_scene(path))
 
 
 def _scene(path: str) -> Scene:

@@ -6,18 +6,25 @@ import io
 import threading
 from collections.abc import Iterator
 from http.client import HTTPConnection
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
+from test_page import WIDE, browser
 
 from l2p.images.inversion import Inversion, InversionConfig
 from l2p.images.picture import draw
 from l2p.images.picture_points import PicturePoints
 from l2p.images.views import placed_view
 from l2p.maps.appearance import Appearance
+from l2p.show.exhibit import Exhibit
+from l2p.show.page.file_view import view_page
 from l2p.show.serve import HOST, SIZE, PictureServer
+from l2p.show.stance import Stance
+
+__all__ = ["browser"]
 
 PICTURE = "picture?at=0,0,0&toward=0,0,1&up=0,-1,0&angle=60"
 
@@ -78,3 +85,26 @@ def test_other_names_of_this_machine_are_refused(server):
 def test_impossible_places_are_said(server, query, said):
     status, body = ask(server, f"/{server.secret}/{query}")
     assert status == 400 and said in body.decode()
+
+
+def test_stand_here_shows_the_picture_of_the_place(browser, rng):
+    """The camera that the button asks for stands where the view's does: its target is in the middle of the picture."""
+    xyz = rng.normal(size=(300, 3))
+    points = PicturePoints(xyz, np.ones(300, dtype=np.float32), Appearance(np.full((300, 3), 90, dtype=np.uint8)))
+    network = Inversion(InversionConfig(features=8, widths=(8, 8, 8))).eval().requires_grad_(False)
+    exhibit = Exhibit(points=xyz, rgb=points.appearance.rgb)
+    with PictureServer(view_page(exhibit, "map", "a scene", pictures=True), points, network) as serving:
+        threading.Thread(target=serving.serve_forever, daemon=True).start()
+        page = browser.new_page(viewport={"width": WIDE[0], "height": WIDE[1]})
+        page.goto(serving.address)
+        with page.expect_response(lambda answer: "/picture?" in answer.url) as answered:
+            page.click("#stand")
+        assert answered.value.status == 200
+        asked = parse_qs(urlsplit(page.get_attribute("#stood-picture", "src")).query)
+        page.close()
+        serving.shutdown()
+    at, toward, up = (np.array(asked[name][0].split(","), dtype=float) for name in ("at", "toward", "up"))
+    stance = Stance.before(exhibit)
+    np.testing.assert_allclose(toward, stance.center, atol=1e-9)
+    assert np.linalg.norm(at - toward) == pytest.approx(2.6 * stance.radius)
+    assert up @ stance.axes[2] > 0.8

@@ -7,9 +7,12 @@ from l2p.show.page.numbers import count
 from l2p.show.page.render import render
 
 
-def view_page(exhibit: Exhibit, name: str, kind: str) -> bytes:
-    """Render the page, UTF-8; ``kind`` is the kind of the file in words, such as ``a line cloud (npz)``."""
+def view_page(exhibit: Exhibit, name: str, kind: str, *, pictures: bool = False) -> bytes:
+    """Render the page, UTF-8; ``kind`` is the kind of the file in words, such as ``a line cloud (npz)``.
+
+    With ``pictures``, the page is served by one that makes pictures (:mod:`l2p.show.serve`).
+    """
     what = f"This is {kind} of {count(len(exhibit))} {'points' if exhibit.lines is None else 'lines'}."
     if exhibit.confidence is not None and not exhibit.calibrated:
         what += " Its confidence ranks points and is no probability."
-    return render("view.html", name, [("all", exhibit)], what=what)
+    return render("view.html", name, [("all", exhibit)], pictures=pictures, what=what)

@@ -23,12 +23,13 @@ def render(
     exhibits: Sequence[tuple[str, Exhibit]],
     most_points: int = MOST_POINTS,
     attackers: Sequence[str] = ("",),
+    pictures: bool = False,
     **words: Any,
 ) -> bytes:
     """Render a page with an interactive view of the exhibits, UTF-8; without exhibits, it has no view.
 
     With several ``attackers``, each label has so many exhibits one after another, one per attacker; ``words`` are
-    variables of the template.
+    variables of the template. With ``pictures``, a server beside the page makes pictures (:mod:`l2p.show.serve`).
     """
     environment, view = _environment(), view_data(exhibits, most_points) if exhibits else None
     script = "".join(_source(name) for name in (*_SCRIPTS, *(_VIEWER_SCRIPTS if exhibits else ())))
@@ -40,6 +41,7 @@ def render(
         view=view,
         clouds=[label for label, _ in exhibits[:: len(attackers)]],
         attackers=attackers,
+        pictures=pictures,
         thinned=_thinned(exhibits, most_points),
         **(_choices(exhibits[0][1]) if exhibits else {}),
         **words,

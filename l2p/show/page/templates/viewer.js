@@ -330,6 +330,19 @@ find("farther").addEventListener("click", () => zoom(1.25));
 find("reset").addEventListener("click", reset);
 for (const input of document.querySelectorAll(".controls input, .controls select")) input.addEventListener("input", refresh);
 
+// Stand here: the server of the page makes the picture of what the camera of the view sees.
+if (find("stand")) find("stand").addEventListener("click", () => {
+  const { center, radius, axes } = data.stance;
+  const { rows: [, up, forward], focal } = basis();
+  const turned = (place) => center.map((_, k) => axes.reduce((sum, row, i) => sum + place[i] * row[k], 0));
+  const leave = (place) => turned(place).map((value, k) => center[k] + radius * value);
+  const eye = camera.target.map((value, k) => value - camera.distance * forward[k]);
+  const angle = Math.max(5, Math.min(150, 2 * Math.atan(width / 2 / focal) * 180 / Math.PI));
+  const words = { at: leave(eye), toward: leave(camera.target), up: turned(up), angle };
+  find("stood-picture").src = `picture?${new URLSearchParams(Object.entries(words).map(([name, value]) => [name, String(value)]))}`;
+  find("stood").hidden = false;
+});
+
 // Parts of the map, which the sliders of the region show.
 for (const button of document.querySelectorAll("button.part")) button.addEventListener("click", () => {
   region.choose(...[button.dataset.low, button.dataset.high].map((corner) => corner.split(" ").map(Number)));
