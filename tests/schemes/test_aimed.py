@@ -20,7 +20,7 @@ NAMES = ("spread-votes", "decoys", "through-dense")
 
 @pytest.fixture(scope="module")
 def room() -> np.ndarray:
-    return l2p.simulate("room", points=500, seed=0).xyz
+    return l2p.simulate("room", points=300, seed=0).xyz
 
 
 def nearest_on(point: np.ndarray, direction: np.ndarray, other: np.ndarray, along: np.ndarray) -> float:
@@ -122,7 +122,7 @@ def test_no_line_meets_another_in_its_point(room: np.ndarray) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_no_probability_is_stated(name: str, room: np.ndarray) -> None:
     """Whatever the directions look like, since the file names the scheme."""
-    lines = l2p.lift(room, seed=0, scheme=name)
+    lines = l2p.lift(room, seed=0, fraction=0.4, scheme=name)
     assert not recognise(lines).expected
     assert not l2p.recover(lines, method="tomography").calibrated
 
