@@ -4,12 +4,12 @@
     python benchmarks/resisting.py ../shared/maps/val/{office_lounge,plant_livingroom,strecha_entry_p10} --fraction 0.1
 
 Each map is hidden by uniform lines and by the schemes that choose directions (docs/schemes.md). Shares of points
-within 1 spacing: of the learned attack by lines alone and with colours and descriptors; of the heuristic by lines
-alone; of the learned attack for pairs, with both, an attacker who knows that lines have a second, false place ("two
-places": the more confident of the two; for decoys and through-dense only). Bounds: the point of least squared distance
-to the lines of the 25 true nearest points ("neighbours"), and leave-one-out. Localized: images by p6L with 30 % wrong
-matches, median position in percent of the cameras' extent, and the share within 0.5 %. Last rows: means over the maps,
-of positions the geometric one.
+within 1 spacing: of the learned attack as if lines were uniform, by lines alone and with colours and descriptors; of
+the same, told the scheme, where it has an attack for it (lines with a false place); of the heuristic by lines alone.
+Bounds: the point of least squared distance to the lines of the 25 true nearest points ("neighbours"), and
+leave-one-out. Confidence: its mean by lines alone. Stated: whether it is called a probability where the file names the
+scheme / names uniform. Localized: images by p6L with 30 % wrong matches, median position in percent of the cameras'
+extent, and the share within 0.5 %. Last rows: means over the maps, of positions the geometric one.
 """
 
 from __future__ import annotations
@@ -29,18 +29,17 @@ from l2p.io.descriptors import load_described
 from l2p.judging.accuracy import errors, spacing
 from l2p.judging.measure import geometric_mean
 from l2p.judging.references import LeaveOneOut, Oracle
+from l2p.schemes.recognition import FALSE_PLACES, recognise
 from l2p.schemes.scheme import DEFAULT_SCHEME
 from l2p.utility.localization import Localized
 from l2p.utility.queries import Queries
 from l2p.utility.releases import LocalizeConfig, Release, localized, read_queries
 
 SCHEMES = (DEFAULT_SCHEME, "spread-votes", "decoys", "through-dense")
-#: Schemes whose lines have a second place, where an attack on pairs of points knows more.
-TWO_PLACES = ("decoys", "through-dense")
 #: Largest error of a localized image, as a share of the cameras' extent.
 CLOSE = 0.005
-HEADS = ["map", "lines", "scheme", "alone", "+ both", "heuristic", "two places", "neighbours", "left out"]
-HEADS += ["confidence", "stated", "position, %", "localized"]
+HEADS = ["map", "lines", "scheme", "alone", "+ both", "told, alone", "told, + both", "heuristic", "neighbours"]
+HEADS += ["left out", "confidence", "stated", "position, %", "localized"]
 
 
 class Row(NamedTuple):
@@ -48,27 +47,22 @@ class Row(NamedTuple):
 
     alone: float
     both: float
+    told_alone: float
+    told_both: float
     heuristic: float
-    two_places: float
     neighbours: float
     left_out: float
     confidence: float
+    stated_told: bool
     stated: bool
     position: float
     localized: float
 
     def cells(self) -> list[str]:
         """The figures as text."""
-        shares = [f"{value:.3f}" if value == value else "-" for value in self[:6]]
-        stated = "yes" if self.stated else "no"
+        shares = [f"{value:.3f}" if value == value else "-" for value in self[:7]]
+        stated = " / ".join("yes" if each else "no" for each in (self.stated_told, self.stated))
         return [*shares, f"{self.confidence:.2f}", stated, f"{100 * self.position:.3f}", f"{self.localized:.2f}"]
-
-
-def likelier(recovery: l2p.Recovery) -> l2p.Recovery:
-    """Keep the more confident of the two places of each line."""
-    order = np.lexsort((-recovery.confidence, recovery.element))
-    first = np.unique(recovery.element[order], return_index=True)[1]
-    return recovery.rows(order[first])
 
 
 def measured(
@@ -81,21 +75,22 @@ def measured(
     def within(recovery: l2p.Recovery) -> float:
         return float((errors(recovery, truth) <= unit).mean())
 
-    bare = lines.without({"rgb", "descriptor"})
-    alone = l2p.recover(bare, fraction=fraction)
-    pairs = float("nan")
-    if scheme in TWO_PLACES:
-        pairs = within(likelier(l2p.recover(replace(lines, scheme="ppl"), fraction=fraction)))
+    untold, seen = replace(lines, scheme=DEFAULT_SCHEME), {"rgb", "descriptor"}
+    bare, named = untold.without(seen), recognise(lines)
+    alone, told = l2p.recover(bare, fraction=fraction), [float("nan")] * 2
+    if named.scheme == FALSE_PLACES:
+        told = [within(l2p.recover(each, fraction=fraction)) for each in (lines.without(seen), lines)]
     trial = _localized(queries, Release.of_lines(hidden, fraction, len(scene)), seed, images)
     position = np.array([each.position for each in trial.attempts]) / queries.extent
     return Row(
         within(alone),
-        within(l2p.recover(lines, fraction=fraction)),
+        within(l2p.recover(untold, fraction=fraction)),
+        *told,
         within(l2p.recover(bare, "heuristic", fraction=fraction)),
-        pairs,
         within(run(bare, Oracle(truth.xyz, 25, rule="least_squares"))),
         within(run(bare, LeaveOneOut(truth.xyz))),
         float(alone.confidence.mean(dtype=np.float64)),
+        named.expected,
         alone.calibrated,
         float(np.median(position)),
         float((position <= CLOSE).mean()),
@@ -111,7 +106,8 @@ def mean_of(rows: list[Row]) -> Row:
     """Means over maps; a probability is stated if it is for any map."""
     columns = dict(zip(Row._fields, zip(*rows, strict=True), strict=True))
     means = {name: float(np.mean(values)) for name, values in columns.items()}
-    return Row(**{**means, "position": geometric_mean(columns["position"]), "stated": any(columns["stated"])})
+    stated = {name: any(columns[name]) for name in ("stated_told", "stated")}
+    return Row(**{**means, **stated, "position": geometric_mean(columns["position"])})
 
 
 def main() -> None:

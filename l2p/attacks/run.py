@@ -19,7 +19,7 @@ from l2p.attacks.by_scheme import by_own_attack, recover_own
 from l2p.attacks.named import named_attack
 from l2p.attacks.settings import DEFAULT_METHOD
 from l2p.attacks.structure import Structure
-from l2p.attacks.structured import expanded, frame_of, structure_of
+from l2p.attacks.structured import expanded, frame_of, likelier_places, structure_of
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
@@ -27,7 +27,7 @@ from l2p.maps.lines import LineCloud
 from l2p.maps.permuted import PermutedCloud
 from l2p.maps.planes import PlaneCloud
 from l2p.maps.recovery import Recovery
-from l2p.schemes.recognition import UNIFORM, recognise
+from l2p.schemes.recognition import FALSE_PLACES, UNIFORM, recognise
 from l2p.version import __version__
 from l2p.work.memory import allotted
 from l2p.work.progress import NO_PROGRESS, Progress
@@ -138,6 +138,8 @@ def run(
     room = _room(attack, where, memory, len(lines), work)
     recognised = recognise(lines)
     known = recognised.scheme if recognised.scheme in attack.schemes else UNIFORM
+    # A line with a false place is a pair of points, of which one is not wanted.
+    one_of_two, known = known == FALSE_PLACES, "ppl" if known == FALSE_PLACES else known
     single, line = expanded(lines, known)
     if len(single) > len(lines):
         room = _room(attack, where, memory, len(single), work)
@@ -163,7 +165,7 @@ def run(
         "device": str(where),
         "seconds": time.perf_counter() - began,
     }
-    return Recovery(
+    found = Recovery(
         xyz=placed.at(beta),
         confidence=estimate.confidence.float().cpu().numpy(),
         beta=beta,
@@ -176,6 +178,7 @@ def run(
         calibrated=attack.calibrated and recognised.expected and attack.scheme == UNIFORM,
         element=line[own],
     )
+    return likelier_places(found) if one_of_two else found
 
 
 def assist(attack: Attack, shards: Shards, *, device: str = "cpu", memory: float | None = None) -> None:
