@@ -85,7 +85,8 @@ def measured(
     return Row(
         within(alone),
         within(l2p.recover(untold, fraction=fraction)),
-        *told,
+        told[0],
+        told[1],
         within(l2p.recover(bare, "heuristic", fraction=fraction)),
         within(run(bare, Oracle(truth.xyz, 25, rule="least_squares"))),
         within(run(bare, LeaveOneOut(truth.xyz))),

@@ -59,15 +59,14 @@ def isotropic(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndar
 def near_points(
     points: Float[np.ndarray, "points 3"], count: int
 ) -> tuple[Int[np.ndarray, "points near"], Float[np.ndarray, "points near"]]:
-    """Find the nearest other points of each point, at most ``count``, nearest first: their rows and distances.
+    """Find the nearest other points of each of two or more points, nearest first: their rows and distances.
 
-    Of points at one place, one may be its own neighbour.
+    There are ``count`` of them, or all. Of points at one place, one may be its own neighbour.
     """
     from scipy.spatial import KDTree
 
-    count = min(count, len(points) - 1)
-    distance, index = KDTree(points).query(points, k=np.arange(2, count + 2))
-    return np.asarray(index), np.asarray(distance)
+    distance, index = map(np.asarray, KDTree(points).query(points, k=min(count + 1, len(points))))
+    return index[:, 1:], distance[:, 1:]
 
 
 def check_two_places(points: Float[np.ndarray, "points 3"], chosen: Int[np.ndarray, " chosen"], scheme: str) -> None:
