@@ -60,6 +60,8 @@ MEANINGS = {
     "decoys": "lines that also meet in false places",
     "through-dense": "lines through other dense places of the map",
 }
+#: Schemes that no attack was made for: their lines are attacked as if they were uniform.
+UNATTACKED = ("spread-votes",)
 
 
 @runtime_checkable
