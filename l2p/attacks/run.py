@@ -20,14 +20,14 @@ from l2p.attacks.by_scheme import by_own_attack, recover_own
 from l2p.attacks.named import named_attack
 from l2p.attacks.settings import DEFAULT_METHOD, MethodName
 from l2p.attacks.structure import Structure
-from l2p.attacks.structured import expanded, frame_of, structure_of
+from l2p.attacks.structured import expanded, frame_of, likelier_places, structure_of
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.frame import Frame
 from l2p.io.given_map import GivenMap, given_map
 from l2p.maps.lines import LineCloud
 from l2p.maps.recovery import Recovery
-from l2p.schemes.recognition import UNIFORM, Recognition, recognise
+from l2p.schemes.recognition import FALSE_PLACES, UNIFORM, Recognition, recognise
 from l2p.version import __version__
 from l2p.work.memory import allotted
 from l2p.work.progress import NO_PROGRESS, Progress
@@ -140,7 +140,9 @@ def run(
     _room(attack, where, memory, len(lines), work)
     recognised = recognise(lines)
     known = recognised.scheme if recognised.scheme in attack.schemes else UNIFORM
-    parts = parts_for(lines, attack, known, recognised)
+    # A line with a false place is a pair of points, of which one is not wanted.
+    one_of_two, known = known == FALSE_PLACES, "ppl" if known == FALSE_PLACES else known
+    parts = None if one_of_two else parts_for(lines, attack, known, recognised)
     if parts is None:
         found = _attacked(lines, attack, known, recognised, where, memory, work, name)
     else:
@@ -161,7 +163,7 @@ def run(
         "seconds": time.perf_counter() - began,
         **({} if parts is None else {"parts": described(lines, parts)}),
     }
-    return Recovery(
+    recovery = Recovery(
         xyz=found.xyz,
         confidence=estimate.confidence.float().cpu().numpy(),
         beta=found.beta,
@@ -174,6 +176,7 @@ def run(
         calibrated=attack.calibrated and recognised.expected and attack.scheme == UNIFORM,
         element=found.line,
     )
+    return likelier_places(recovery) if one_of_two else recovery
 
 
 def _attacked(

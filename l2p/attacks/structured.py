@@ -12,6 +12,7 @@ from l2p.attacks.structure import NO_STRUCTURE, Structure
 from l2p.geometry.frame import Frame
 from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
+from l2p.maps.recovery import Recovery
 from l2p.schemes.recognition import UNIFORM, Recognition
 
 #: Schemes that attacks with a structure know, besides independent lines.
@@ -65,6 +66,12 @@ def structure_of(
         return NO_STRUCTURE
     center = frame.enter_points(recognition.centers, device)
     return Structure(family=torch.as_tensor(_nearest_center(lines, recognition), device=device), center=center)
+
+
+def likelier_places(recovery: Recovery) -> Recovery:
+    """Keep the more confident of the places that were found on each line, in the order of the lines."""
+    order = np.lexsort((-recovery.confidence, recovery.element))
+    return recovery.rows(order[np.unique(recovery.element[order], return_index=True)[1]])
 
 
 def _alternating(first: Appearance, second: Appearance) -> Appearance:

@@ -21,6 +21,7 @@ from l2p.attacks.votes import equal_weights, peaks
 from l2p.errors import InputError
 from l2p.geometry.elements import Lines
 from l2p.geometry.nearest import Nearest, nearest_points_to_points
+from l2p.schemes.recognition import FALSE_PLACES
 from l2p.work.work import Work
 
 
@@ -67,7 +68,7 @@ class Tomography(Attack):
     centres get votes of the other families only; the two points of a line start at the two modes of its posterior.
     """
 
-    schemes = STRUCTURED
+    schemes = (*STRUCTURED, FALSE_PLACES)
 
     by_part = True
     columns: Mapping[str, tuple[int, ...]] = {"beta": ()}

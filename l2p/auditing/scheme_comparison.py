@@ -9,7 +9,7 @@ from l2p.auditing.audit import Audit
 from l2p.auditing.charts import Chart, percent_axis, styles, svg
 from l2p.auditing.other_schemes import OtherSchemes, SchemeTrial
 from l2p.auditing.page_table import Group, Head, Row, Table
-from l2p.schemes.scheme import MEANINGS
+from l2p.schemes.scheme import MEANINGS, UNATTACKED
 from l2p.show.page.numbers import count, fraction, percent
 
 if TYPE_CHECKING:
@@ -63,6 +63,8 @@ def comparison_table(audit: Audit, others: OtherSchemes) -> Table:
         "Each map is attacked by the attack that knows its scheme. Shares are of the points that the scheme publishes; "
         f"some leave points out. {meanings[0].upper()}{meanings[1:]}."
     )
+    if unknown := [name for name in (audit.scheme, *others.schemes) if name in UNATTACKED]:
+        note += f" No attack was made for {', '.join(unknown)}: one that knows it may recover more."
     return Table("Other ways to hide this map", heads, groups, note)
 
 

@@ -32,6 +32,9 @@ PAIRS = "pairs"
 DECLARED = "declared scheme"
 
 UNKNOWN = "unknown"
+#: Lines of one point that meet in false places, too, and the schemes that draw them: nothing but the file tells.
+FALSE_PLACES = "false places"
+_WITH_FALSE_PLACES = ("decoys", "through-dense")
 #: Added to the sentence where a recovery is reported.
 NOT_STATED = "The confidence only ranks points: the attack was not calibrated on such lines. No probability is stated."
 #: Fewer lines than this are called few: only gross departures from uniform lines show.
@@ -66,7 +69,7 @@ class Recognition:
         What was found, with figures, as one or two plain sentences.
     scheme : str
         Scheme whose attack fits: ``uniform``, ``rays`` (lines through a few centres), ``sphere`` (one centre), ``ppl``
-        (pairs of points), or ``unknown``.
+        (pairs of points), ``false places`` (if the file says so), or ``unknown``.
     centers : (centers, 3) float64
         Points through which many lines pass, scene units; none unless the kind is one or few centres.
     family : (lines,) int64 or None
@@ -280,8 +283,10 @@ def _of_pairs(lines: LineCloud) -> Recognition:
 
 
 def _beside_the_file(found: Recognition, lines: LineCloud) -> Recognition:
-    """Add the scheme that the file names, if it is another one."""
+    """Add the scheme that the file names, if it is another one; where lines show nothing else, take its attack."""
     named = lines.scheme
+    if named in _WITH_FALSE_PLACES and found.kind in (NOT_UNIFORM, DECLARED):
+        found = replace(found, scheme=FALSE_PLACES)
     if named == UNIFORM or found.kind == PAIRS or named.startswith(found.scheme):
         return found
     return replace(found, sentence=f"{found.sentence} The file names the scheme {named}.")

@@ -35,6 +35,9 @@ SCHEMES = {
     "planes-pooled": "l2p.schemes.parallel_planes:PlanesPooled",
     "planes-random": "l2p.schemes.random_planes:RandomPlanes",
     "permuted": "l2p.schemes.swapped:Permuted",
+    "spread-votes": "l2p.schemes.spread_votes:SpreadVotes",
+    "decoys": "l2p.schemes.decoys:Decoys",
+    "through-dense": "l2p.schemes.through_dense:ThroughDense",
 }
 #: Their names as a type, for completion in editors.
 SchemeName: TypeAlias = Literal[
@@ -71,7 +74,12 @@ MEANINGS = {
     "planes-pooled": "planes across all three axes, what three servers store together",
     "planes-random": "planes of random normal",
     "permuted": "points that swapped one coordinate in pairs",
+    "spread-votes": "lines of which neighbours pass each other far from their points",
+    "decoys": "lines that also meet in false places",
+    "through-dense": "lines through other dense places of the map",
 }
+#: Schemes that no attack was made for: their lines are attacked as if they were uniform.
+UNATTACKED = ("spread-votes",)
 
 
 @runtime_checkable

@@ -11,6 +11,7 @@ import pytest
 
 import l2p
 from l2p.auditing import FRACTIONS, report
+from l2p.auditing.scheme_comparison import comparison_table
 from l2p.auditing.words import headline, sparser, typical, unexpected
 from l2p.judging.accuracy import spacing
 from l2p.judging.calibration import BINS
@@ -298,3 +299,13 @@ def test_an_audit_of_a_sphere_cloud_says_that_nothing_tells_the_depth(scene, tmp
     assert found.recognised["kind"] == "one centre" and not found.calibrated
     l2p.save_report(found, tmp_path / "report")
     assert "lines pass through one point. No probability is stated" in (tmp_path / "report/index.html").read_text()
+
+
+def test_what_no_attack_was_made_for_is_said(scene):
+    few = l2p.Scene(scene.xyz[:100])
+    found = l2p.audit(few, method="tomography", fractions=[1.0], schemes=["decoys", "spread-votes"])
+    assert found.others is not None
+    assert [trial.scheme for trial in found.others.trials] == ["decoys", "spread-votes"]
+    assert found.others.trials[0].both is None, "a line hides one point, though two places are looked for"
+    note = comparison_table(found, found.others).note
+    assert note.endswith("No attack was made for spread-votes: one that knows it may recover more.")

@@ -46,7 +46,7 @@ from l2p.attacks.tomography.reconstruct import reconstruct
 from l2p.attacks.votes import equal_weights
 from l2p.errors import InputError
 from l2p.maps.appearance import ATTRIBUTES, Appearance
-from l2p.schemes.recognition import UNIFORM
+from l2p.schemes.recognition import FALSE_PLACES, UNIFORM
 from l2p.work.shards import BLOCK
 from l2p.work.work import ALONE, Work
 
@@ -108,7 +108,7 @@ class Learned(Attack):
         If a knowledge is not calibrated, or has fewer calibrations than rounds.
     """
 
-    schemes = STRUCTURED
+    schemes = (*STRUCTURED, FALSE_PLACES)
     by_part = True
 
     def __init__(
