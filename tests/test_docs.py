@@ -205,26 +205,32 @@ def check_python(arguments: list[str]) -> None:
     if arguments[0] != "-m":
         assert (ROOT / arguments[0]).is_file()
     elif arguments[1] in ("eval", "train"):
-        overrides = [word for word in arguments[2:] if word not in ("--multirun", "-m")]
-        if len(overrides) < len(arguments[2:]):
+        config, words = arguments[1], arguments[2:]
+        if words[:1] == ["--config-name"]:
+            config, words = words[1], words[2:]
+        overrides = [word for word in words if word not in ("--multirun", "-m")]
+        if len(overrides) < len(words):
             overrides = [re.sub(r"=([^\[,]+),.*", r"=\1", override) for override in overrides]
-        composed(arguments[1], overrides)
+        composed(arguments[1], overrides, config)
     elif (ROOT / f"{arguments[1].replace('.', '/')}.py").is_file():
         return
     else:
         assert arguments[1] == "pytest" and all((ROOT / word).is_file() for word in arguments[2:] if word[0] != "-")
 
 
-def composed(program: str, overrides: list[str]) -> None:
+def composed(program: str, overrides: list[str], name: str) -> None:
     """An unknown key, experiment or type is an error of hydra."""
     import eval.eval_config
+    import train.picture_config
     import train.train_config
 
     configs = {"eval": eval.eval_config.CONFIGS, "train": train.train_config.CONFIGS}[program]
     with initialize_config_dir(str(configs), version_base="1.3"):
-        config = compose(program, overrides)
-    if program == "train":
+        config = compose(name, overrides)
+    if name == "train":
         train.train_config.settings_of(config)
+    if name == "pictures":
+        train.picture_config.picture_run_of(config)
 
 
 def parser() -> argparse.ArgumentParser:

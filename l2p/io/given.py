@@ -89,7 +89,7 @@ def given_truth(thing: GivenTruth) -> Truth | Float[np.ndarray, "lines 3"]:
     if isinstance(thing, str | os.PathLike):
         return load_truth(thing)
     if _has_rows(thing):
-        return finite_rows("true points", thing)
+        return finite_rows("truth", thing)
     what = ", whose points are in another order than the lines" if isinstance(thing, Scene) else ""
     raise InputError(
         f"got {named(thing)} for the truth{what}; expected a Truth (l2p.hide(scene).truth), its npz, or points of "

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from l2p.errors import InputError, warn
 from l2p.io.colours import byte_rgb
-from l2p.io.ply import read_ply
+from l2p.io.ply_points import read_ply
 from l2p.maps.scene import Scene
 
 # Point cloud beside transforms.json that does not name one.

@@ -12,21 +12,12 @@ from jaxtyping import UInt8
 
 from l2p.errors import InputError
 from l2p.io.colours import as_rgb
-from l2p.maps.scene import Scene
 
 _RGB = ("red", "green", "blue")
 #: Largest step of a coordinate in single precision, over the size of the cloud: far below the distances of its points.
 _LOST = 1e-6
 # The same as other programs name them.
 _OTHER_RGB = (("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"), ("Red", "Green", "Blue"))
-
-
-def read_ply(path: str | PathLike[str]) -> Scene:
-    """Read the vertices of a PLY file as a scene, with their colours; edges and faces do not matter."""
-    vertex = ply_elements(path).get("vertex")
-    if vertex is None:
-        raise InputError(f"{path} has no vertices; expected an element vertex with x, y, z")
-    return Scene(ply_columns(path, vertex, ("x", "y", "z")).astype(np.float64), ply_rgb(vertex))
 
 
 def ply_elements(path: str | PathLike[str]) -> dict[str, np.ndarray]:

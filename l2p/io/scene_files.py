@@ -21,10 +21,11 @@ from l2p.io.npz import Fields, npz_bytes
 from l2p.io.nvm import read_nvm
 from l2p.io.obj_points import read_obj_points
 from l2p.io.pcd import read_pcd
-from l2p.io.ply import ply_bytes, point_records, read_ply
+from l2p.io.ply import ply_bytes, point_records
+from l2p.io.ply_points import read_ply
 from l2p.io.point_text import ENDINGS as TEXT
 from l2p.io.point_text import text_bytes
-from l2p.io.table_files import scene_of_table
+from l2p.io.table_files import points_of_table
 from l2p.io.xyz_files import read_xyz
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
@@ -62,7 +63,7 @@ def load_scene(path: str | PathLike[str], columns: str | None = None) -> Scene:
     """
     kind = kind_of(path, columns)
     if kind in TABLES:
-        return checked_scene(path, scene_of_table(path, columns))
+        return checked_scene(path, Scene(*points_of_table(path, columns)))
     if kind in HIDDEN_MAPS or kind is Kind.CHECKPOINT:
         raise InputError(f"{path} is {kind.value}; expected a scene: a COLMAP model folder, a PLY or an npz with xyz")
     with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused as not finite

@@ -28,7 +28,6 @@ from l2p.io.column_values import recognised_layout
 from l2p.io.text_tables import Table, read_table
 from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
-from l2p.maps.scene import Scene
 
 #: Scheme of lines from other programs, which do not state how their directions were drawn.
 FOREIGN_SCHEME = "unknown"
@@ -79,12 +78,14 @@ def _by_ending(path: str | PathLike[str], table: Table) -> Layout | None:
     return Layout((*POINT, *group), "by the ending of the file")
 
 
-def scene_of_table(path: str | PathLike[str], columns: str | None = None) -> Scene:
-    """Read points, with their colours; InputError if the rows are lines, or as :func:`table_layout`."""
+def points_of_table(
+    path: str | PathLike[str], columns: str | None = None
+) -> tuple[Float[np.ndarray, "points 3"], UInt8[np.ndarray, "points 3"] | None]:
+    """Read points, and their colours if there are any; InputError if the rows are lines, or as :func:`table_layout`."""
     table, layout = read_table(path), table_layout(path, columns)
     if layout.are_lines:
         raise InputError(f"{path} holds {layout.content} ({layout.words}); expected points")
-    return Scene(_places(path, table.values, layout, POINT, POINT_W), _rgb(path, table.values, layout))
+    return _places(path, table.values, layout, POINT, POINT_W), _rgb(path, table.values, layout)
 
 
 def lines_of_table(path: str | PathLike[str], columns: str | None = None) -> LineCloud:

@@ -249,7 +249,7 @@ def test_a_few_rows_are_a_point_and_a_direction_and_called_assumed(tmp_path, she
 
 def test_the_ending_of_open3d_tells_normals(tmp_path, sheet):
     path = write(tmp_path / "few.xyzn", sheet["xyz"][:5], sheet["normal"][:5])
-    assert taken_for(path, load_scene(path)).startswith("few.xyzn: 5 points with normals (columns x y z nx ny nz, by")
+    assert taken_for(path, load_scene(path)) == "few.xyzn: 5 points (point cloud, xyz, pts)"
 
 
 def test_a_ply_with_normals_is_points_and_called_so(tmp_path, sheet):

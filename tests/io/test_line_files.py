@@ -310,7 +310,7 @@ def test_files_that_are_no_line_cloud(tmp_path):
     with pytest.raises(InputError, match="is a JPEG picture"):
         load_lines(tmp_path / "photo.jpg")
     (tmp_path / "latin.txt").write_bytes("caf\xe9 1 2 3".encode("latin-1"))
-    with pytest.raises(InputError, match="line 1: got 'café 1 2 3'; expected four numbers"):
+    with pytest.raises(InputError, match="holds points .*, not lines"):
         load_lines(tmp_path / "latin.txt")
     with pytest.raises(InputError, match=r"lines\.las ends with '\.las'; expected a line cloud to end with"):
         save_lines(cloud_of(), tmp_path / "lines.las")
@@ -329,7 +329,7 @@ def test_a_truncated_file_is_refused(tmp_path, ending, share):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("1 2 3 4 5\n", "5 columns without names, .*--columns x,y,z,dx,dy,dz"),
+        ("1 2 3 4 5\n", "5 columns without names.*--columns"),
         ("a b c d e f\n1 2 3 4 5 6 7\n", "7 columns without names"),
         ("1 2 3 4 5 6\na b c d e f\n", "line 2"),
         ("1 2 3 x 5 6\n", "line 1"),
