@@ -229,7 +229,7 @@ def composed(program: str, overrides: list[str], name: str) -> None:
         config = compose(name, overrides)
     if name == "train":
         train.train_config.settings_of(config)
-    if name == "pictures":
+    if name == "pictures" and config.maps:
         train.picture_config.picture_run_of(config)
 
 
