@@ -188,18 +188,19 @@ def sheet(path: Path, rows: Sequence[tuple[str, Sequence[np.ndarray]]], heads: S
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    across = 2.1 * len(heads)
-    size = (across, 2.1 * sum(images[0].shape[0] / images[0].shape[1] for _, images in rows) + 0.3)
-    figure, axes = plt.subplots(len(rows), len(heads), figsize=size, squeeze=False)
+    ratios = [images[0].shape[0] / images[0].shape[1] for _, images in rows]
+    size = (2.1 * len(heads), 2.1 * sum(ratios) + 0.3)
+    grid = {"height_ratios": ratios}
+    figure, axes = plt.subplots(len(rows), len(heads), figsize=size, squeeze=False, gridspec_kw=grid)
     for (name, images), row in zip(rows, axes, strict=True):
         for image, axis in zip(images, row, strict=True):
             axis.imshow(image)
             axis.set(xticks=[], yticks=[])
             axis.spines[:].set_visible(False)
-        row[0].set_ylabel(name, fontsize=8)
+        row[0].set_ylabel(name, fontsize=5)
     for head, axis in zip(heads, axes[0], strict=True):
         axis.set_title(head, fontsize=8)
-    figure.subplots_adjust(left=0.04, right=0.995, top=0.93, bottom=0.005, wspace=0.03, hspace=0.03)
+    figure.subplots_adjust(left=0.04, right=0.995, top=1 - 0.25 / size[1], bottom=0.005, wspace=0.03, hspace=0.03)
     figure.savefig(path, dpi=150, pil_kwargs={"quality": 85})
     plt.close(figure)
     print(path)

@@ -179,7 +179,12 @@ def _places(arguments: Namespace) -> list[Place]:
         if arguments.views or arguments.photographs is not None:
             raise InputError("got views of a map that is no COLMAP model; expected a model, which has cameras")
         return []
-    return places_of(arguments.scene, VIEWS if arguments.views is None else arguments.views, arguments.photographs)
+    if arguments.views is not None or arguments.photographs is not None:
+        return places_of(arguments.scene, VIEWS if arguments.views is None else arguments.views, arguments.photographs)
+    try:
+        return places_of(arguments.scene, VIEWS)
+    except InputError:  # a model whose points alone can be read
+        return []
 
 
 def _print_figures(audit: Audit) -> None:

@@ -116,7 +116,7 @@ def _inside(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("truth.npz", "truth.npz is a truth (npz); expected a line cloud"),
         ("recovery.npz", "recovery.npz is a recovery (npz); expected a line cloud"),
         ("good.safetensors", "good.safetensors is a checkpoint (safetensors); expected a line cloud"),
-        ("folder", "folder is a folder without points3D.bin or points3D.txt"),
+        ("folder", "folder is a folder without points3D.bin"),
         ("objects.npz", "objects.npz holds Python objects, which l2p never loads"),
         ("nan.npz", "nan.npz: got 1 line(s) with a moment that is NaN, infinite or beyond 1e30, first at line 4; rem"),
         ("infinite.npz", "infinite.npz: got 1 line(s) with a moment that is NaN, infinite or beyond 1e30, first at"),
@@ -141,7 +141,7 @@ def test_bad_lines(folder, capfd, lines, message):
         ("cut.npz", "cut.npz is truncated or damaged"),
         ("lines.npz", "lines.npz is a line cloud (npz); expected a scene"),
         ("good.safetensors", "good.safetensors is a checkpoint (safetensors); expected a scene"),
-        ("folder", "folder is a folder without points3D.bin or points3D.txt"),
+        ("folder", "folder is a folder without points3D.bin"),
         ("scene_nan.npz", "scene_nan.npz has 2 of 60 points that are NaN, infinite or beyond 1e30, first at row 2; re"),
         ("scene_none.npz", "scene_none.npz has no points"),
         ("scene_objects.npz", "scene_objects.npz holds Python objects"),
@@ -248,8 +248,16 @@ HEURISTIC = ("--method", "heuristic")
         ("folder", ["--force"], ".csv, or a folder together with --model MODEL --truth TRUTH.npz"),
         ("out.pcd", [], "got -o out.pcd; expected .npz, .ply, .xyz, .txt, .csv, or a folder together with --model"),
         ("nowhere/out.npz", [], "the folder of nowhere/out.npz does not exist"),
-        ("out", ["--model", "folder", "--truth", "truth.npz"], "folder is a folder without points3D.bin or points3D.txt"),
-        ("folder/out", ["--model", "folder", "--truth", "truth.npz"], "folder is a folder without points3D.bin or points3D.txt"),
+        (
+            "out",
+            ["--model", "folder", "--truth", "truth.npz"],
+            "folder is a folder without points3D.bin",
+        ),
+        (
+            "folder/out",
+            ["--model", "folder", "--truth", "truth.npz"],
+            "folder is a folder without points3D.bin",
+        ),
     ],
 )
 def test_bad_recover_flags(folder, capfd, output, flags, message):

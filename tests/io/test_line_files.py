@@ -310,7 +310,7 @@ def test_files_that_are_no_line_cloud(tmp_path):
     with pytest.raises(InputError, match="is a JPEG picture"):
         load_lines(tmp_path / "photo.jpg")
     (tmp_path / "latin.txt").write_bytes("caf\xe9 1 2 3".encode("latin-1"))
-    with pytest.raises(InputError, match="holds points .*, not lines"):
+    with pytest.raises(InputError, match=r"holds points .*, not lines"):
         load_lines(tmp_path / "latin.txt")
     with pytest.raises(InputError, match=r"lines\.las ends with '\.las'; expected a line cloud to end with"):
         save_lines(cloud_of(), tmp_path / "lines.las")
