@@ -59,6 +59,7 @@ def test_there_is_a_picture_of_the_true_points_and_of_every_attack(model, found)
 def test_points_have_the_colours_of_their_lines_and_attackers_see_what_they_may(model, found):
     """An attacker who sees lines alone draws the same, whatever the colours are."""
     scene = l2p.load(model, l2p.Scene)
+    assert scene.rgb is not None
     other = replace(scene, rgb=255 - scene.rgb)
     places = [seen.place for seen in found.pictures[:1]]
     changed = pictures_of(found.trials, other, places)[0].shots
