@@ -24,6 +24,7 @@ from l2p.images.similarity import Likeness, likeness
 from l2p.images.views import View, view_of
 from l2p.maps import ATTRIBUTES
 from l2p.maps.scene import Scene
+from l2p.maps.short_repr import short_repr
 from l2p.work.progress import NO_PROGRESS, Progress
 
 
@@ -33,6 +34,8 @@ class Place:
 
     view: View
     photograph: UInt8[np.ndarray, "height width 3"] | None
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,8 @@ class Shot:
     used: Attacker
     image: UInt8[np.ndarray, "height width 3"]
     like: Likeness | None
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)

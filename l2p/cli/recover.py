@@ -98,6 +98,8 @@ def _recover(arguments: Namespace, place: Place) -> None:
     _warn_of_lines(recovery)
     if arguments.seed is not None:
         recovery = replace(recovery, info={**recovery.info, "seed": arguments.seed})
+    for path, hidden in zip(arguments.lines, releases, strict=True):
+        say_taken(path, hidden, arguments)
     with _rounds_left(state):
         _write(recovery, ids, arguments)
     state.remove()
@@ -242,7 +244,6 @@ def _recover_inputs(
     releases = []
     for path in arguments.lines:
         hidden = load_hidden(path, arguments.columns)
-        say_taken(path, hidden, arguments)
         releases.append(_named(hidden, arguments.scheme).without(arguments.ignore))
     if arguments.model is None:
         return releases, None

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from l2p.errors import InputError
 from l2p.geometry.camera_rays import camera_rays
+from l2p.maps.short_repr import short_repr
 
 #: Longest side of a picture, pixels: the network was trained on photographs of this size.
 LONG_SIDE = 320
@@ -40,6 +41,8 @@ class View:
     translation: Float[np.ndarray, "3"]
     camera: Any
     name: str = ""
+
+    __repr__ = short_repr
 
     @property
     def width(self) -> int:

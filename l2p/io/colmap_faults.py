@@ -25,6 +25,7 @@ from l2p.io.colmap_tables import (
     shown,
     signed,
 )
+from l2p.maps.short_repr import short_repr
 
 #: A record of cameras.bin before the parameters: id, model, width, height.
 _CAMERA = struct.Struct("<IiQQ")
@@ -49,6 +50,8 @@ class _Tracks:
     rows: Int[np.ndarray, "elements 3"]
     line: Int[np.ndarray, " elements"]
     points: frozenset[int]
+
+    __repr__ = short_repr
 
 
 def first_fault(folder: str | PathLike[str]) -> str | None:

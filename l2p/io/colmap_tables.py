@@ -17,6 +17,7 @@ from jaxtyping import Float, Int, UInt8, UInt64
 from l2p.errors import InputError
 from l2p.io.colours import byte_rgb
 from l2p.io.signatures import refuse_pointer
+from l2p.maps.short_repr import short_repr
 
 #: A record of points3D.bin, before its track.
 POINT = np.dtype([("id", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track", "<u8")])
@@ -54,6 +55,8 @@ class PointTable:
     error: Float[np.ndarray, " points"] | None
     track_length: Int[np.ndarray, " points"] | None
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         order = np.argsort(self.ids, kind="stable")
         for name, value in list(vars(self).items()):
@@ -84,6 +87,8 @@ class ImageRecord:
     camera: int
     name: str
     points: Int[np.ndarray, " keypoints"] | None
+
+    __repr__ = short_repr
 
 
 def read_points(path: str | PathLike[str]) -> PointTable:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from l2p.errors import InputError
 from l2p.io.npz import read_npy
+from l2p.maps.short_repr import short_repr
 
 #: Lines from which separators and decimal commas are told, and most columns of a table.
 _LOOKED_AT, _MOST_COLUMNS = 200, 64
@@ -37,6 +38,8 @@ class Table:
 
     values: Float[np.ndarray, "rows columns"]
     headers: tuple[tuple[str, ...], ...] = ()
+
+    __repr__ = short_repr
 
 
 def read_table(path: str | PathLike[str]) -> Table:

@@ -56,6 +56,9 @@ SchemeName: TypeAlias = Literal[
     "planes-pooled",
     "planes-random",
     "permuted",
+    "spread-votes",
+    "decoys",
+    "through-dense",
 ]
 #: What each scheme does, in a few words.
 MEANINGS = {

@@ -72,17 +72,17 @@ def test_an_added_key_that_nothing_reads_is_an_error(module: Any, name: str, ove
 
 def test_free_mappings_take_any_key() -> None:
     assert composed(eval_config, "eval", "+kinds={all: indoor}").kinds == {"all": "indoor"}
-    assert composed(train_config, "train", "+logger.comment=mine").logger["comment"] == "mine"
+    assert composed(train_config, "train", "+logger.comment=mine").resolved["logger"]["comment"] == "mine"
 
 
 def test_a_logger_is_chosen_by_its_group(tmp_path: Path) -> None:
-    assert composed(train_config, "train").logger["_target_"].endswith("TensorBoardLogger")
-    assert chosen_logger(composed(train_config, "train", "logger=none").logger, tmp_path) == []
+    assert composed(train_config, "train").resolved["logger"]["_target_"].endswith("TensorBoardLogger")
+    assert chosen_logger(composed(train_config, "train", "logger=none").resolved["logger"], tmp_path) == []
     (made,) = chosen_logger({"_target_": "lightning.pytorch.loggers.CSVLogger", "save_dir": FOLDER}, tmp_path)
     assert made.save_dir == str(tmp_path)
     with pytest.raises(InputError, match=r"got logger nowhere.Logger, which says: .*or give logger=none"):
         chosen_logger({"_target_": "nowhere.Logger"}, tmp_path)
-    assert composed(train_config, "train", "logger=wandb").logger["name"] == "default"
+    assert composed(train_config, "train", "logger=wandb").resolved["logger"]["name"] == "default"
 
 
 def test_lines_with_the_loss_come_soon_and_then_seldom(
