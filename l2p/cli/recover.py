@@ -98,10 +98,8 @@ def _recover(arguments: Namespace, place: Place) -> None:
     _warn_of_lines(recovery)
     if arguments.seed is not None:
         recovery = replace(recovery, info={**recovery.info, "seed": arguments.seed})
-    for path, hidden in zip(arguments.lines, releases, strict=True):
-        say_taken(path, hidden, arguments)
     with _rounds_left(state):
-        _write(recovery, ids, arguments)
+        _write(recovery, ids, releases, arguments)
     state.remove()
 
 
@@ -144,7 +142,12 @@ def _warn_of_lines(recovery: Recovery) -> None:
         print(" ".join(["l2p:", found["sentence"], *([] if recovery.calibrated else [NOT_STATED])]), file=sys.stderr)
 
 
-def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments: Namespace) -> None:
+def _write(
+    recovery: Recovery,
+    ids: Int[np.ndarray, " lines"] | None,
+    releases: list[LineCloud | PlaneCloud | PermutedCloud],
+    arguments: Namespace,
+) -> None:
     """Write the recovery, filtered, and its figures."""
     recovery = _filtered(recovery, arguments.min_confidence, arguments.clean)
     kept = len(recovery) if recovery.kept is None else int(recovery.kept.sum())
@@ -159,6 +162,8 @@ def _write(recovery: Recovery, ids: Int[np.ndarray, " lines"] | None, arguments:
     }
     with figures_file(arguments, stats):
         _save(recovery, ids, arguments)
+    for path, hidden in zip(arguments.lines, releases, strict=True):
+        say_taken(path, hidden, arguments)
     if arguments.json != "-":
         some = "" if recovery.kept is None else f"{kept:,} kept of "
         print(f"{arguments.output}: {some}{len(recovery):,} points, {recovery.info['seconds']:.1f} s")
