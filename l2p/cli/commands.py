@@ -18,7 +18,7 @@ from l2p.cli.flags import POINT_FLAGS, settings_of
 from l2p.cli.lift import described_scene, printable
 from l2p.cli.lift import lift as lift
 from l2p.cli.localize import localize as localize
-from l2p.cli.map_names import map_name
+from l2p.cli.map_names import map_name, shown_name
 from l2p.cli.outputs import check_attack, check_outputs, figures_file, file_of, say_taken, set_threads
 from l2p.cli.picture_command import picture as picture
 from l2p.cli.recover import recover as recover
@@ -92,6 +92,7 @@ def audit(arguments: Namespace) -> None:
     say_taken(arguments.scene, scene, arguments)
     queries, why = _queries(arguments, scene, needed=goal is not None)
     places = [] if arguments.share else _places(arguments)
+    drop = None if isinstance(scene, LineCloud) else dropped(arguments, scene)[0]
     set_threads(arguments.threads)
     found = examine(
         scene,
@@ -99,7 +100,7 @@ def audit(arguments: Namespace) -> None:
         arguments.seed,
         method=arguments.method,
         ignore=arguments.ignore,
-        drop=None if isinstance(scene, LineCloud) else dropped(arguments, scene)[0],
+        drop=drop,
         region=None if isinstance(scene, LineCloud) else chosen(arguments, scene, "region")[0],
         schemes=arguments.schemes,
         releases=arguments.releases,
@@ -113,8 +114,7 @@ def audit(arguments: Namespace) -> None:
         **settings_of(arguments),
     )
     if not isinstance(scene, LineCloud):
-        drop, seeing = dropped(arguments, scene)[0], terminal_progress()
-        seen = pictures_of(found.trials, scene, places, ignored=found.ignored, drop=drop, progress=seeing)
+        seen = pictures_of(found.trials, scene, places, ignored=found.ignored, drop=drop, progress=terminal_progress())
         found = replace(found, pictures=seen)
     command = _audit_command(arguments, lines_given)
     release = ReleaseInputs(
@@ -215,7 +215,7 @@ def view(arguments: Namespace) -> None:
         serve(arguments)
         return
     exhibit = Exhibit.load(arguments.file, arguments.columns)
-    name = map_name(arguments.file) if os.path.isdir(arguments.file) else printable(os.path.basename(arguments.file))
+    name = shown_name(arguments.file)
     if arguments.window:
         show(exhibit, name)
         return

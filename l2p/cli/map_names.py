@@ -28,3 +28,8 @@ def map_name(path: str) -> str:
         steps.pop()
     telling = [step for step in steps if step.lower() not in _GENERIC and not step.isdecimal()]
     return printable((telling or steps or ["map"])[-1])
+
+
+def shown_name(path: str) -> str:
+    """Return the name of a file, or of the map in a folder, for a page that shows it."""
+    return map_name(path) if os.path.isdir(path) else printable(os.path.basename(path))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import webbrowser
 from argparse import Namespace
 
-from l2p.cli.lift import printable
-from l2p.cli.map_names import map_name
+from l2p.cli.map_names import shown_name
 from l2p.cli.picture_command import points_at
 from l2p.errors import InputError
 from l2p.io.kinds import SCENES, Kind, kind_of
@@ -32,8 +30,7 @@ def serve(arguments: Namespace) -> None:
 
     points = points_at(arguments.file, kind, arguments.lines)
     exhibit = Exhibit.load(arguments.file, arguments.columns)
-    name = map_name(arguments.file) if os.path.isdir(arguments.file) else printable(os.path.basename(arguments.file))
-    page = view_page(exhibit, name, kind.value, pictures=True)
+    page = view_page(exhibit, shown_name(arguments.file), kind.value, pictures=True)
     with PictureServer(page, points, load_inversion()[0]) as server:
         print(f"{server.address} is open to this machine, until Ctrl-C", flush=True)
         if has_display():
