@@ -43,7 +43,7 @@ FEW = 100
 #: 1 - 1e-6 quantile of chi-squared with 5 degrees of freedom.
 _LARGEST_S = 35.9
 #: Median distance of lines from a place, as a share of its own from the origin, that may be rounding to single
-#: precision.
+#: precision or to some seven digits.
 _SINGLE = 2e-7
 #: Least share of the lines that are the same as, or parallel to, another: a few do no harm.
 _LEAST_REPEATED = 0.01
@@ -151,10 +151,11 @@ def _recognised(lines: LineCloud) -> Recognition:
     distinct = cloud.rows(~repeated)
     found = (
         _bundled(distinct, len(lines), rng)
+        or _roughly_centred(lines, cloud)
         or _centred(cloud, ~repeated, rng)
         or _repeated(repeated)
         or _partly_parallel(cloud, rng)
-        or _directed(lines, cloud)
+        or _directed(lines)
         or _released(cloud, rng)
         or _unsuspected(lines)
     )
@@ -225,14 +226,24 @@ def _centred(
     return Recognition(kind, sentence, scheme, points, family, expected=False)
 
 
-def _directed(lines: LineCloud, cloud: meeting.Centred) -> Recognition | None:
+def _roughly_centred(lines: LineCloud, cloud: meeting.Centred) -> Recognition | None:
+    """Lines through one point but for the rounding of a text file or of single precision.
+
+    Among such lines, centres and repeats would be those of rounding. A small map far from the origin has lines as near
+    to each other, but of uniform directions.
+    """
+    near = 0 < cloud.unit <= _SINGLE * np.linalg.norm(cloud.place)
+    if not near or direction_statistic(lines.direction) <= _LARGEST_S:
+        return None
+    family = np.zeros(len(lines), dtype=np.int64)
+    sentence = f"The {_number(len(lines))} lines pass through one point, up to rounding."
+    return Recognition(ONE_CENTRE, sentence, "sphere", cloud.place[None], family, expected=False)
+
+
+def _directed(lines: LineCloud) -> Recognition | None:
     """Directions that are not uniform."""
     if direction_statistic(lines.direction) <= _LARGEST_S:
         return None
-    if cloud.unit <= _SINGLE * np.linalg.norm(cloud.place):
-        family = np.zeros(len(lines), dtype=np.int64)
-        sentence = f"The {_number(len(lines))} lines pass through one point, up to single precision."
-        return Recognition(ONE_CENTRE, sentence, "sphere", cloud.place[None], family, expected=False)
     if _pairs(lines):
         return _of_pairs(lines)
     count = _number(len(lines))

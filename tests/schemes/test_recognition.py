@@ -4,6 +4,7 @@ raise no alarm."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -162,6 +163,21 @@ def _surface(count: int, rng: Rng) -> np.ndarray:
     points[np.arange(count), rng.integers(0, 3, count)] = 1.5
     points[: count // 4] = points[rng.integers(0, 10, count // 4)] + 0.02 * directions(count // 4, rng)
     return points
+
+
+@pytest.mark.parametrize("form", ["%.9g", "%.8g", "%.7g", "%.6f"])
+@pytest.mark.parametrize("offset", [0.0, 30.0])
+def test_one_centre_is_recognised_through_the_rounding_of_a_text_file(form: str, offset: float, tmp_path: Path) -> None:
+    points = _surface(2000, np.random.default_rng(6)) * 5 + offset
+    np.savetxt(tmp_path / "lines.txt", np.c_[points, points - np.median(points, axis=0) - 0.3], fmt=form)
+    found = recognise(l2p.load(tmp_path / "lines.txt"))
+    assert (found.kind, found.scheme, found.expected) == (recognition.ONE_CENTRE, "sphere", False), found.sentence
+
+
+def test_a_small_map_far_from_the_origin_is_no_centre() -> None:
+    rng = np.random.default_rng(7)
+    found = recognise(l2p.lift(_surface(1000, rng) * 0.05 + [5e5, 5.4e6, 100], seed=0))
+    assert found.kind == recognition.UNIFORM
 
 
 def test_the_statistic_of_uniform_directions_is_chi_squared() -> None:
