@@ -29,7 +29,7 @@ from l2p.attacks.run import run
 from l2p.errors import InputError
 from train import infonce
 from train.clouds import CloudSource, lifted, read
-from train.infonce import Embeddings, EmbeddingSettings, fitted, fold_of, observed, variance_of
+from train.infonce import Embeddings, EmbeddingSettings, fitted, fold_of, mirrored, observed, variance_of
 from train.pool import Pool
 from train.sources import Sources, validation_sources
 from train.start import start_from
@@ -311,3 +311,21 @@ def test_the_experiments_compose() -> None:
     made = settings(experiment="appearance")
     assert made.network.appearance and made.data.maps and made.start
     assert set(made.data.val_maps).isdisjoint(made.data.maps)
+
+
+def test_a_mirrored_descriptor_is_that_of_the_mirrored_patch() -> None:
+    patch = np.random.default_rng(0).normal(size=(16, 16))
+    here, there = (torch.tensor(_histograms(each), dtype=torch.float32)[None] for each in (patch, patch[::-1]))
+    torch.testing.assert_close(mirrored(here), there)
+    torch.testing.assert_close(mirrored(mirrored(here)), here)
+
+
+def _histograms(patch: np.ndarray) -> np.ndarray:
+    """Gradients of a patch of 16 x 16 pixels, by cell and direction: SIFT without weights and interpolation."""
+    down, right = np.gradient(patch)
+    direction = np.round(np.arctan2(down, right) / (2 * np.pi / 8)).astype(int) % 8
+    found = np.zeros((4, 4, 8))
+    for row in range(16):
+        for column in range(16):
+            found[row // 4, column // 4, direction[row, column]] += np.hypot(down, right)[row, column]
+    return found.reshape(-1)
