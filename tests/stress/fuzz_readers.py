@@ -25,6 +25,7 @@ import hashlib
 import importlib
 import inspect
 import io
+import json
 import os
 import random
 import resource
@@ -52,7 +53,30 @@ from line_coverage import Steps
 
 from l2p.attacks.learned import checkpoint
 from l2p.errors import InputError, InputWarning
-from l2p.io import colmap, id_files, kinds, line_files, npz, ply, recovery_files, scene_files, text_lines
+from l2p.io import (
+    bundler,
+    colmap,
+    column_names,
+    column_values,
+    id_files,
+    json_maps,
+    kinds,
+    line_files,
+    npz,
+    nvm,
+    obj_points,
+    other_lines,
+    pcd,
+    ply,
+    ply_points,
+    point_text,
+    recovery_files,
+    scene_files,
+    table_files,
+    text_lines,
+    text_tables,
+    xyz_files,
+)
 from l2p.maps.recovery import Recovery
 from l2p.maps.scene import Scene
 from l2p.maps.truth import Truth
@@ -73,7 +97,8 @@ READERS: tuple[Callable[[Path], Any], ...] = (
 #: The code that a file leads through.
 TRACED: tuple[ModuleType, ...] = (
     *(checkpoint, exhibit, tables, colmap, id_files, kinds, line_files, npz, ply),
-    *(recovery_files, scene_files, text_lines),
+    *(recovery_files, scene_files, text_lines, text_tables, table_files, column_names, column_values, other_lines),
+    *(bundler, json_maps, nvm, obj_points, pcd, ply_points, point_text, xyz_files),
     *(zipfile, importlib.import_module("plyfile"), np.lib.format),
 )
 #: Limits for one file: processor seconds, and bytes beyond a multiple of its size.
@@ -110,7 +135,7 @@ def valid_files() -> list[Valid]:
     """One of every format, with everything in it that it can hold."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        for write in (_write_lines, _write_points, _write_ids, _write_checkpoint, _write_models):
+        for write in (_write_lines, _write_points, _write_ids, _write_checkpoint, _write_models, _write_others):
             write(root)
         return [
             Valid(path.name, {file.name: file.read_bytes() for file in (sorted(path.iterdir()) or [])})
@@ -195,6 +220,35 @@ def _write_models(root: Path) -> None:
     for name, write in (("model-bin", model.write_binary), ("model-txt", model.write_text)):
         (root / name).mkdir()
         write(str(root / name))
+
+
+def _write_others(root: Path) -> None:
+    """Maps and line clouds of other programs."""
+    rng, points, rgb = _points()
+    vectors = rng.normal(size=(ROWS, 3))
+    six = [[*xyz, *color] for xyz, color in zip(points.tolist(), rgb.tolist(), strict=True)]
+    rows = "".join(" ".join(map(str, row)) + "\n" for row in six)
+    (root / "cloud.xyz").write_text(rows)
+    (root / "cloud.pts").write_text(f"{ROWS}\n{rows}")
+    (root / "cloud.csv").write_text("x;y;z;r;g;b\n" + rows.replace(" ", ";").replace(".", ","))
+    (root / "points.obj").write_text("".join(f"v {row}\n" for row in rows.splitlines()))
+    (root / "cloud.pcd").write_text(
+        "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+        f"WIDTH {ROWS}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {ROWS}\nDATA ascii\n"
+        + "".join(" ".join(map(str, row[:3])) + "\n" for row in six)
+    )
+    np.save(root / "lines.npy", np.hstack([points, vectors]))
+    np.savez(root / "rays.npz", origins=points, directions=vectors)
+    np.savez(root / "ends.npz", start=points, end=points + vectors)
+    pose = "500 0 0\n1 0 0\n0 1 0\n0 0 1\n1 2 3\n"
+    seen = "".join(f"{row[0]} {row[1]} {row[2]}\n{row[3]} {row[4]} {row[5]}\n1 0 7 1.5 -2.5\n" for row in six)
+    (root / "bundle.out").write_text(f"# Bundle file v0.3\n1 {ROWS}\n{pose}{seen}")
+    seen = "".join(" ".join(map(str, row)) + " 1 0 7 1.5 -2.5\n" for row in six)
+    (root / "map.nvm").write_text(f"NVM_V3\n\n1\na.jpg\t500 1 0 0 0 1 2 3 0.01 0\n\n{ROWS}\n{seen}\n0\n")
+    shot = {"rotation": [0, 0, 0], "translation": [1, 2, 3], "camera": "c"}
+    known = {str(number): {"coordinates": row[:3], "color": row[3:]} for number, row in enumerate(six)}
+    content = [{"cameras": {"c": {}}, "shots": {"a": shot}, "points": known}]
+    (root / "reconstruction.json").write_text(json.dumps(content))
 
 
 def read_all(path: Path) -> None:
