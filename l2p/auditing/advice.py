@@ -81,13 +81,15 @@ def _publishing(verdict: Verdict) -> Advice:
 
 
 def _fewer(audit: Audit, decided: bool) -> Advice:
-    """How much comes back where fewer points are published, as a share of the whole map."""
+    """How much comes back where fewer points are published, as a share of the whole map, if that can be told."""
     first, last = (_back(trial, audit.kept) for trial in (audit.strongest[0], audit.strongest[-1]))
     price = (
         "How well cameras are still localized stands below, under Which release?"
         if decided
         else "Cameras are localized less well, which the audit of a COLMAP model measures."
     )
+    if audit.few:
+        return Advice("Publish fewer points.", price)
     told = f"{first[0].upper()}{first[1:]} of the map come back; {last}. {price}"
     return Advice("Publish fewer points.", told)
 

@@ -52,6 +52,8 @@ from l2p.work.progress import NO_PROGRESS, Progress
 
 #: Version of the layout of ``audit.json``, written into it.
 AUDIT_VERSION = 5
+#: Points of a map, at most, whose spacing is about the size of the map: that is the distance to the 50th neighbour.
+FEW_POINTS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +126,11 @@ class Audit:
     def scheme(self) -> str:
         """Scheme of the lines."""
         return self.trials[0].lines.scheme
+
+    @property
+    def few(self) -> bool:
+        """Whether the map has too few points to measure by its spacing."""
+        return self.points <= FEW_POINTS
 
     @property
     def kept(self) -> float:

@@ -44,6 +44,9 @@ _FORMS: dict[Form, Callable[[Any], str]] = {
     Form.NUMBER: "{:.3f}".format,
 }
 
+#: Figures of the page where the map has too few points to measure by its spacing.
+_OF_FEW = ("lines", "median", "mean")
+
 
 def save_report(
     audit: Audit,
@@ -131,7 +134,10 @@ def report_page(
         tables=_tables(audit),
         tradeoff=None if decision is None else tradeoff(audit, decision, release),
         unlocalized=release.unlocalized,
-        charts=[*([] if audit.others is None else [comparison_chart(audit, audit.others)]), *charts(audit)],
+        charts=[
+            *([] if audit.others is None else [comparison_chart(audit, audit.others)]),
+            *([] if audit.few else charts(audit)),
+        ],
         spacing=length(audit.spacing, audit.metric),
         picture_tables=[] if share else picture_tables(audit),
         seconds=_duration(audit.trials[0].seconds),
@@ -142,7 +148,7 @@ def report_page(
 
 
 def _exhibit(trial: Trial, audit: Audit) -> Exhibit:
-    """Gather the layers of one attack."""
+    """Gather the layers of one attack; of a map of few points, no errors in spacings."""
     recovery, truth = trial.recovery, trial.truth
     return Exhibit(
         points=None if truth is None else truth.xyz,
@@ -150,8 +156,8 @@ def _exhibit(trial: Trial, audit: Audit) -> Exhibit:
         recovered=recovery.xyz,
         rgb=trial.rgb,
         confidence=recovery.confidence,
-        calibrated=audit.calibrated,
-        error=None if truth is None else errors(recovery, truth) / audit.spacing,
+        calibrated=audit.calibrated and not audit.few,
+        error=None if truth is None or audit.few else errors(recovery, truth) / audit.spacing,
         camera_centers=audit.camera_centers,
         up=audit.up,
         spacing=audit.spacing,
@@ -267,9 +273,11 @@ def _by_trial(audit: Audit, heading: str, heads: Sequence[Head], rows: Sequence[
 
 
 def _shown(audit: Audit) -> list[Figure]:
-    """List the figures of the page that at least one trial has."""
+    """List the figures of the page that at least one trial has; of a map of few points, none that is measured by the
+    spacing, but its errors as lengths."""
     scores = [trial.scores.figures for trial in audit.trials if trial.scores]
-    return [each for each in figures() if each.page and any(found[each.name] is not None for found in scores)]
+    page = [each for each in figures() if (each.name in _OF_FEW if audit.few else each.page)]
+    return [each for each in page if any(found[each.name] is not None for found in scores)]
 
 
 def _heads(shown: Sequence[Figure]) -> list[Head]:
@@ -284,8 +292,11 @@ def _heads(shown: Sequence[Figure]) -> list[Head]:
 
 def _values(trial: Trial, shown: Sequence[Figure]) -> list[str]:
     assert trial.scores is not None
-    values = [(figure.form, trial.scores.figures[figure.name]) for figure in shown]
-    return ["-" if value is None else _FORMS[form](value) for form, value in values]
+    values = [(figure, trial.scores.figures[figure.name]) for figure in shown]
+    return [
+        "-" if value is None else figure.counted(value, len(trial)) or _FORMS[figure.form](value)
+        for figure, value in values
+    ]
 
 
 def _predicted_table(audit: Audit) -> Table:

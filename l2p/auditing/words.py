@@ -10,15 +10,12 @@ from l2p.auditing.audit import Audit
 from l2p.auditing.published_again import EXACT
 from l2p.auditing.trial import Trial
 from l2p.judging.intervals import interval
+from l2p.judging.measure import COUNTED_LINES
 from l2p.schemes.rounding import resolution_words
 from l2p.show.page.numbers import SPACE, count, fraction, length, percent
 
-#: Points of a map, at most, whose spacing is about the size of the map: that is the distance to the 50th neighbour.
-FEW_POINTS = 100
 #: Lines below which a share is told with its interval, and below which nobody can tell what an attacker knows.
 _COUNTED, _FEW_LINES = 1000, 100
-#: Lines up to which points are counted: of three lines, a share says nothing.
-_SINGLE_LINES = 20
 #: Share of a spacing above which the steps of the coordinates are worth a sentence.
 _STEP = 0.02
 #: Least gain in the share within 1 spacing, from all points to the most confident half, that is called informative.
@@ -54,7 +51,7 @@ def headline(audit: Audit) -> str:
     within, half = trial.within, trial.confident_half
     spacing = f"1 spacing ({length(audit.spacing, audit.metric)})"
     knowing = f"With the {named(trial.used)} beside the lines, " if trial.used else ""
-    if audit.points <= FEW_POINTS:
+    if audit.few:
         return _tiny(audit)
     if within is None:
         return f"{knowing}{count(len(trial))} points were recovered, but how many of them are right is not known."
@@ -96,7 +93,7 @@ def _tiny(audit: Audit) -> str:
 def chance(audit: Audit) -> str:
     """Interval of the headline's share, if it was measured on few lines; empty for others."""
     trial = audit.trials[0]
-    if audit.points <= FEW_POINTS or trial.scores is None or trial.within is None or len(trial) >= _COUNTED:
+    if audit.few or trial.scores is None or trial.within is None or len(trial) >= _COUNTED:
         return ""
     low, high = interval(trial.within, len(trial))
     return (
@@ -194,7 +191,7 @@ def alone(audit: Audit) -> str:
     """Share recovered from the lines alone, at the largest fraction; empty if nobody uses more, or it is not known."""
     bare = audit.of_attacker(())[0].within
     saved = _saved(audit, audit.attackers[0])
-    if bare is None or saved is None:
+    if bare is None or saved is None or audit.few:
         return ""
     if saved > 0:
         return f"From the lines alone, {percent(bare)} would be {'recovered' if audit.known else 'expected'}."
@@ -209,6 +206,8 @@ def alone(audit: Audit) -> str:
 def savings(audit: Audit) -> str:
     """Points that leaving out each attribute, and both, would save at the largest fraction; empty if nobody uses any,
     or it is not known."""
+    if audit.few:
+        return ""
     used = audit.attackers[0]
     options: list[Attacker] = [(name,) for name in reversed(used)]
     options += [used] if len(used) > 1 else []
@@ -251,7 +250,7 @@ def typical(audit: Audit) -> str:
 
 def sparser(audit: Audit) -> str:
     """Share recovered at the smallest fraction of the map; empty if only one fraction was tried."""
-    if len(audit.fractions) < 2 or audit.points <= FEW_POINTS:
+    if len(audit.fractions) < 2 or audit.few:
         return ""
     trial, bare = audit.strongest[-1], audit.trials[-1]
     lines = f"{count(len(trial))} line{'' if len(trial) == 1 else 's'}"
@@ -265,6 +264,6 @@ def sparser(audit: Audit) -> str:
 def _share(trial: Trial) -> str:
     """Share within 1 spacing; of a few lines, their number."""
     assert trial.within is not None
-    if trial.scores is not None and len(trial) <= _SINGLE_LINES:
+    if trial.scores is not None and len(trial) <= COUNTED_LINES:
         return f"{round(trial.within * len(trial))} of {len(trial)}"
     return percent(trial.within)

@@ -191,8 +191,9 @@ def _print_figures(audit: Audit) -> None:
     """Print the figures of the attacker who uses most; with several, also the share that each recovers."""
     from l2p.auditing.attackers import seen_by
 
-    print_scores({f"{100 * trial.fraction:g} %": trial.scores for trial in audit.strongest if trial.scores})
-    if len(audit.attackers) > 1:
+    scores = {f"{100 * trial.fraction:g} %": trial.scores for trial in audit.strongest if trial.scores}
+    print_scores(scores, by_spacing=not audit.few)
+    if len(audit.attackers) > 1 and not audit.few:
         shares = {
             seen_by(attacker): [trial.within for trial in audit.of_attacker(attacker) if trial.within is not None]
             for attacker in audit.attackers

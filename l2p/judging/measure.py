@@ -20,6 +20,8 @@ from l2p.utility.localization import finite
 
 #: Least value in a geometric mean, so that an error of 0 (points that coincide) does not make it 0.
 LEAST = 1e-6
+#: Lines up to which points are counted, "2 of 3": a share of so few says nothing.
+COUNTED_LINES = 20
 
 Value = float | None
 
@@ -99,6 +101,16 @@ class Figure:
     def column(self) -> str:
         """Heading below ``over``."""
         return self.under or (self.group[1] if self.group else self.heading)
+
+    def counted(self, value: Value, lines: int) -> str:
+        """A share of so few lines as their number; empty for others, and for figures of another kind."""
+        of_all = self.group is not None and self.group[0] in ("within_spacings", "within_cm")
+        return f"{round(value * lines)} of {lines}" if of_all and value is not None and lines <= COUNTED_LINES else ""
+
+    @property
+    def by_spacing(self) -> bool:
+        """Whether it is measured by the spacing, which in a map of few points is about the size of the map."""
+        return self.form not in (Form.COUNT, Form.LENGTH) and self.need is not Need.METRIC
 
 
 @dataclass(frozen=True)

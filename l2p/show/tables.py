@@ -23,7 +23,7 @@ from l2p.io.kinds import HIDDEN_MAPS, SCENES, Kind, kind_of
 from l2p.io.recovery_files import load_recovery
 from l2p.io.scene_files import load_scene, load_truth
 from l2p.io.taken_for import taken_for
-from l2p.judging.measure import Form, figures
+from l2p.judging.measure import Figure, Form, figures
 from l2p.judging.scores import Scores
 from l2p.maps.appearance import Appearance
 from l2p.maps.lines import LineCloud
@@ -44,16 +44,22 @@ FILE_WIDTH = 140
 _FORMS = {Form.COUNT: "d", Form.LENGTH: ".4g", Form.SPACINGS: ".3f", Form.SHARE: ".1%", Form.NUMBER: ".3f"}
 
 
-def print_scores(columns: dict[str, Scores]) -> None:
-    """Print the figures of each column to stdout."""
+def print_scores(columns: dict[str, Scores], by_spacing: bool = True) -> None:
+    """Print the figures of each column to stdout, or only those that are not measured by the spacing."""
     table = Table(*("", *columns), title="error of the recovered points")
     for figure in figures():
-        values = [scores.figures[figure.name] for scores in columns.values()]
-        if any(value is not None for value in values):
-            table.add_row(
-                figure.heading, *("-" if value is None else format(value, _FORMS[figure.form]) for value in values)
-            )
+        if figure.by_spacing and not by_spacing:
+            continue
+        if any(scores.figures[figure.name] is not None for scores in columns.values()):
+            table.add_row(figure.heading, *(_figure(figure, scores) for scores in columns.values()))
     console().print(table)
+
+
+def _figure(figure: Figure, scores: Scores) -> str:
+    value = scores.figures[figure.name]
+    if value is None:
+        return "-"
+    return figure.counted(value, scores.lines) or format(value, _FORMS[figure.form])
 
 
 def print_shares(rows: dict[str, list[float]], columns: list[str]) -> None:

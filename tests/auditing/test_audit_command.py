@@ -83,10 +83,22 @@ def test_a_report_is_opened_where_that_was_asked_for_and_there_is_a_display(file
 def test_only_a_confidence_that_claims_to_be_a_probability_has_a_calibration_error(
     files, tmp_path, tiny_checkpoint, capsys
 ):
-    np.savez(tmp_path / "few.npz", xyz=np.random.default_rng(0).normal(size=(60, 3)))
+    np.savez(tmp_path / "few.npz", xyz=np.random.default_rng(0).normal(size=(120, 3)))
     for number, words in enumerate((("--method", "tomography"), ("--checkpoint", tiny_checkpoint))):
         assert run("audit", tmp_path / "few.npz", "-o", tmp_path / str(number), "--fractions", 1, *words) == 0
         assert ("calibration error" in capsys.readouterr().out) == bool(number)
+
+
+def test_a_map_of_few_points_has_lengths_and_counts_and_no_shares_of_spacings(tmp_path, tiny_checkpoint, capsys):
+    rng = np.random.default_rng(0)
+    np.savez(tmp_path / "few.npz", xyz=rng.normal(size=(60, 3)), rgb=rng.integers(0, 256, (60, 3), dtype=np.uint8))
+    words = ("--checkpoint", tiny_checkpoint, "--fractions", 1, 0.1, "--metric")
+    assert run("audit", tmp_path / "few.npz", "-o", tmp_path / "report", *words) == 0
+    said, page = capsys.readouterr().out, (tmp_path / "report" / "index.html").read_text()
+    assert "median error (scene units)" in said and "of 6" in said and "too few to measure by a spacing" in said
+    for words in ("within 1 spacing", "calibration error", "Leaving out", "of the points are recovered"):
+        assert words not in said
+    assert "Median error (scene units)" in page and "Recovered within … spacings" not in page
 
 
 def test_the_command_in_the_report_gives_it_again(files, tmp_path, monkeypatch):

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import l2p
 from l2p.cli.main import main
 from l2p.io.line_files import load_lines, save_lines
 from l2p.io.recovery_files import load_recovery
@@ -431,3 +432,28 @@ def test_kills_at_random_moments_leave_nothing_half_done():
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "nothing wrong" in done.stdout and "| l2p recover | 3 |" in done.stdout
+
+
+@pytest.mark.parametrize("command", ["recover", "info", "view", "audit"])
+def test_columns_are_what_the_user_says(command, scene, tmp_path, capsys):
+    """Direction first, of no length that would tell it: the command line says which is which."""
+    hidden = l2p.hide(load_scene(scene).xyz[:200], seed=1)
+    lines = hidden.map
+    np.savetxt(tmp_path / "rows.txt", np.hstack([3 * lines.direction, hidden.truth.xyz]))
+    outputs = {"recover": "points.npz", "view": "page.html", "audit": "report"}
+    words = [command, tmp_path / "rows.txt", "--columns", "dx,dy,dz,x,y,z"]
+    words += ["-o", tmp_path / outputs[command]] if command in outputs else []
+    words += ["--method", "tomography"] if command in ("recover", "audit") else []
+    assert run(*words) == 0
+    if command != "view":
+        assert "200 lines (columns dx dy dz x y z)" in " ".join(capsys.readouterr().out.split())
+    if command == "recover":
+        found = load_recovery(tmp_path / "points.npz").xyz
+        np.testing.assert_allclose(np.cross(found, lines.direction), lines.moment, atol=1e-6)
+
+
+def test_columns_that_do_not_fit_are_refused(tmp_path, capsys):
+    np.savetxt(tmp_path / "rows.txt", np.ones((3, 6)))
+    for columns, says in (("x,y,z", "6 columns"), ("x,y,z,dx,dy,what", "what")):
+        assert run("info", tmp_path / "rows.txt", "--columns", columns) == 2
+        assert says in capsys.readouterr().err
