@@ -26,13 +26,13 @@ _ROUNDED, _NEARLY_ALL = 0.01, 0.99
 #: Rows that are compared with their neighbours in space, and neighbours of each.
 _COMPARED, _NEIGHBOURS = 1000, 8
 #: Mean |cosine| to the offsets of the neighbours, below which a vector is normal to a surface, and least mean |cosine|
-#: between the vectors of neighbours. Normals of ``shared/scenes/train`` (Open3D, 30 neighbours): 0.17 to 0.45, and 0.82
-#: to 0.99. Uniform directions: 0.50; rays, spheres and pairs: 0.49 and more.
+#: between the vectors of neighbours. Measured for normals and for all kinds of lines by
+#: ``benchmarks/columns.py``.
 _TANGENT, _SMOOTH = 0.47, 0.75
 #: The same for vectors that are all the same or one of a few, which only a map of planes has for normals.
 _FLAT, _SLANTED = 0.1, 0.3
-#: Least ratio of the distances at which lines meet, of two readings of the same rows: right ones of
-#: ``shared/scenes/train`` meet 1.08 to 2 times as closely. Products that are computed for it.
+#: Least ratio of the distances at which lines meet, of two readings of the same rows (right ones:
+#: ``benchmarks/columns.py``). Products that are computed for it.
 _CLOSER, _MOST_PRODUCTS = 1.05, 200_000_000
 #: Directions are not uniform beyond it (:mod:`l2p.schemes.recognition`).
 _LARGEST_S = 35.9
@@ -179,7 +179,7 @@ def _moments_or_feet(direction: np.ndarray, other: np.ndarray) -> bool:
     whole = np.linalg.norm(direction, axis=1) > 0
     direction, other = direction[whole], other[whole]
     as_feet, as_moments = (
-        _meeting_distance(LineCloud.through(point, direction)) if len(direction) >= _FEW else 1.0
+        meeting_distance(LineCloud.through(point, direction)) if len(direction) >= _FEW else 1.0
         for point in (other, np.cross(direction, other))
     )
     if max(as_feet, as_moments) < _CLOSER * min(as_feet, as_moments) or as_feet == as_moments:
@@ -187,7 +187,7 @@ def _moments_or_feet(direction: np.ndarray, other: np.ndarray) -> bool:
     return as_moments < as_feet
 
 
-def _meeting_distance(lines: LineCloud) -> float:
+def meeting_distance(lines: LineCloud) -> float:
     """Median over lines of the least distance, times the sine of the angle, to another, scene units."""
     rng = np.random.default_rng(0)
     cloud = meeting.centred(lines.direction, lines.moment, rng)
@@ -242,13 +242,13 @@ def _joins_points(point: np.ndarray, vector: np.ndarray) -> bool:
     return float(np.mean(distance < 1e-5 * np.linalg.norm(point - np.median(point, axis=0), axis=1).mean())) > 0.9
 
 
-def _are_normals(point: np.ndarray, vector: np.ndarray) -> bool:
-    """Whether unit vectors are perpendicular to the surface on which the points lie, and vary smoothly along it."""
+def surface_fit(point: Float[np.ndarray, "rows 3"], vector: Float[np.ndarray, "rows 3"]) -> tuple[float, float] | None:
+    """Mean |cosine| between vectors and the offsets of the nearest points, and between the vectors of near points.
+
+    Normals of a surface have a small first and a large second figure. None if all points coincide.
+    """
     from scipy.spatial import KDTree
 
-    if len(point) < _FEW:
-        return False
-    vector = vector / np.maximum(np.linalg.norm(vector, axis=1, keepdims=True), 1e-9)
     rows = meeting.sample(len(point), _COMPARED, np.random.default_rng(0))
     _, near = map(np.asarray, KDTree(point).query(point[rows], k=min(_NEIGHBOURS + 1, len(point))))
     near = near[:, 1:]
@@ -256,10 +256,20 @@ def _are_normals(point: np.ndarray, vector: np.ndarray) -> bool:
     length = np.linalg.norm(offset, axis=2)
     apart = length > 0
     if not apart.any():
+        return None
+    tangent = np.abs(np.sum(offset * vector[rows][:, None], axis=2))[apart] / length[apart]
+    return float(tangent.mean()), float(np.abs(np.sum(vector[near] * vector[rows][:, None], axis=2)).mean())
+
+
+def _are_normals(point: np.ndarray, vector: np.ndarray) -> bool:
+    """Whether unit vectors are perpendicular to the surface on which the points lie, and vary smoothly along it."""
+    if len(point) < _FEW:
         return False
-    tangent = float(np.mean(np.abs(np.sum(offset * vector[rows][:, None], axis=2))[apart] / length[apart]))
-    if float(np.mean(np.abs(np.sum(vector[near] * vector[rows][:, None], axis=2)))) < _SMOOTH:
+    vector = vector / np.maximum(np.linalg.norm(vector, axis=1, keepdims=True), 1e-9)
+    fit = surface_fit(point, vector)
+    if fit is None or fit[1] < _SMOOTH:
         return False
+    tangent = fit[0]
     if len(np.unique(np.round(vector * _sign(vector)[:, None], 3), axis=0)) <= meeting.MOST_CENTRES:
         if _FLAT < tangent < _SLANTED:
             raise UndecidedError("the last three one of a few directions: of lines, or normals of planes")
