@@ -41,7 +41,7 @@ CHANGES: dict[str, tuple[tuple[str, ...], dict[str, object]]] = {
     "both, lessons on 90 %": (BOTH, {"teaching": TeachingConfig(share=0.9)}),
     "both, lessons of 300 steps": (BOTH, {"teaching": TeachingConfig(steps=300)}),
     "both, the 32 nearest candidates": (BOTH, {"alike": 32}),
-    "both, 48 candidates of 64": (BOTH, {"candidates": 48}),
+    "both, 48 candidates": (BOTH, {"candidates": 48}),
     "both, kind unknown": (BOTH, {"kind": "unknown"}),
 }
 

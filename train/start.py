@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -14,19 +15,27 @@ from l2p.errors import InputError
 
 #: The layer that reads the inputs.
 _FIRST = "embed.0.weight"
+#: Facts of an earlier training that are kept in the record of the next one.
+_KEPT = ("command", "commit", "seed", "steps", "minutes")
 
 
 @torch.no_grad()
-def start_from(network: LineTransformer, path: Path) -> None:
+def start_from(network: LineTransformer, path: Path) -> list[dict[str, Any]]:
     """Copy the weights; those of inputs that the checkpoint lacks become 0, so that the network first gives
     the same.
+
+    Returns
+    -------
+    list of dict
+        Command, commit, seed, steps and minutes of each training that made the checkpoint, the first one first.
 
     Raises
     ------
     FileNotFoundError, InputError
         If there is no such checkpoint, or its network is of other sizes or has other inputs.
     """
-    old = checkpoint.read(path).network
+    whole = checkpoint.read(path)
+    old, facts = whole.network, whole.facts
     mine, given = network.state_dict(), old.state_dict()
     columns = _columns(network.config)
     missing = [name for name in _columns(old.config) if name not in columns]
@@ -44,6 +53,8 @@ def start_from(network: LineTransformer, path: Path) -> None:
     first = torch.zeros_like(mine[_FIRST])
     first[:, [place[name] for name in _columns(old.config)]] = given[_FIRST]
     network.load_state_dict({**mine, **given, _FIRST: first})
+    before = facts.get("before")
+    return [*(before if isinstance(before, list) else []), {name: facts.get(name) for name in _KEPT}]
 
 
 def _columns(config: NetworkConfig) -> list[str]:

@@ -139,8 +139,17 @@ SCHEDULE_LEAST = {
     **dict.fromkeys(("seed", "warmup"), 0),
     **dict.fromkeys(("steps", "validate_every", "patience", "save_every", "threads"), 1),
 }
-#: Least values of whole numbers; a single line has no neighbour.
-_LEAST = {**SCHEDULE_LEAST, "min_lines": 2, "simulated": 0, "map_turns": 1, "clouds": 1, "lines_per_batch": 1}
+#: Least values of whole numbers; a single line has no neighbour. No steps: the weights of ``start`` get a new embedding
+#: and calibration.
+_LEAST = {
+    **SCHEDULE_LEAST,
+    "steps": 0,
+    "min_lines": 2,
+    "simulated": 0,
+    "map_turns": 1,
+    "clouds": 1,
+    "lines_per_batch": 1,
+}
 
 
 def settings_of(config: DictConfig) -> Settings:

@@ -47,8 +47,7 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.fit.seed)
         network = LineTransformer(settings.network)
-        if settings.start is not None:
-            start_from(network, Path(settings.start))
+        before = [] if settings.start is None else start_from(network, Path(settings.start))
         if embeddings is not None:
             network.embedding.load_state_dict(embeddings.whole.state_dict())
             network.embedding.requires_grad_(False)
@@ -56,7 +55,7 @@ def train_all(settings: Settings, folder: Path, command: str, callbacks: Sequenc
     trainer = fit(module, settings.resolved, folder, callbacks)
     model = folder / MODEL
     if trainer.is_global_zero:
-        about = record(command, module, trainer, settings.resolved)
+        about = {**record(command, module, trainer, settings.resolved), "before": before}
         _export(settings, model, module.average.cpu(), sources, embeddings, about)
     return model
 

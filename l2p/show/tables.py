@@ -251,12 +251,23 @@ def _describe_checkpoint(checkpoint: Checkpoint) -> list[tuple[str, str]]:
         ("rounds", str(config.rounds)),
         ("candidates", str(config.candidates)),
         *((what, "unknown" if value is None else str(value)) for what, value in trained.items()),
+        *(("trained before", _training(each)) for each in _dicts(facts.get("before"))),
     ]
+
+
+def _training(facts: dict[str, Any]) -> str:
+    """An earlier training, in a few words."""
+    return f"{facts.get('steps')} steps, {facts.get('minutes')} minutes, at commit {facts.get('commit')}"
+
+
+def _dicts(value: Any) -> list[dict[str, Any]]:
+    """The dicts of what should be a list of them; a file may hold anything."""
+    return [each for each in value if isinstance(each, dict)] if isinstance(value, list) else []
 
 
 def _held_back(results: Any) -> list[Table]:
     """Table of the held-back line clouds; empty if the training recorded none."""
-    rows = [row for row in results if isinstance(row, dict)] if isinstance(results, list) else []
+    rows = _dicts(results)
     if not rows:
         return []
     columns: list[tuple[str, str, Callable[[float], str]]] = [

@@ -289,6 +289,12 @@ def test_a_run_with_maps_ends_with_a_model_for_every_knowledge(folder: Path, tmp
         train_all(run_settings(folder), tmp_path / "again", COMMAND, [Stop(7)])
     train_all(run_settings(folder), tmp_path / "again", COMMAND)
     assert_same_model(tmp_path / "run", tmp_path / "again")
+    # Without steps, the weights that it starts from get another embedding, and the record tells of the first training.
+    fresh = train_all(run_settings(folder, "steps=0", f"start={model}", "seed=5"), tmp_path / "fresh", COMMAND)
+    new = checkpoint.load(fresh).network
+    for name, value in attack.network.state_dict().items():
+        assert torch.equal(value, new.state_dict()[name]) != name.startswith("embedding."), name
+    assert [each["steps"] for each in facts(tmp_path / "fresh")["before"]] == [found["steps"]]
 
 
 @pytest.mark.parametrize(

@@ -51,8 +51,8 @@ class LearnedConfig:
     rounds: int = 3
     alike_rounds: int = 4
     candidates: int = 32
-    alike: int = 64
-    liking: float = 0.2
+    alike: int = 96
+    liking: float = 0.4
     peak: PeakConfig = PeakConfig(threshold=0.5, trim=0)
     relaxation: float = 1.4
     settling: int = 6

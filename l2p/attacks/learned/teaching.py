@@ -55,7 +55,7 @@ class TeachingConfig:
     neighbors: int = 16
     least: int = 256
     batch: int = 512
-    steps: int = 75
+    steps: int = 50
     fresh_steps: int = 300
     passes: float = 20.0
     rate: float = 1e-3
