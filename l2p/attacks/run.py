@@ -34,6 +34,10 @@ from l2p.work.progress import NO_PROGRESS, Progress
 from l2p.work.shards import Shards
 from l2p.work.work import ALONE, Work
 
+#: Bytes held per line for each number that is published beside it: in single precision in the order of the map, sorted,
+#: and twice those that a lesson learns from. Measured by ``benchmarks/recover.py``, with attributes.
+_NUMBER_BYTES = 20
+
 
 def recover(
     lines: GivenMap,
@@ -137,7 +141,7 @@ def run(
         raise InputError("got a line cloud without lines; expected at least one line")
     where, began = usable_device(device), time.perf_counter()
     # Told early, before lines are looked at, if they cannot fit.
-    _room(attack, where, memory, len(lines), work)
+    _room(attack, where, memory, len(lines), lines.appearance.width, work)
     recognised = recognise(lines)
     known = recognised.scheme if recognised.scheme in attack.schemes else UNIFORM
     # A line with a false place is a pair of points, of which one is not wanted.
@@ -191,7 +195,7 @@ def _attacked(
 ) -> Attacked:
     """Attack lines, all of a map or those of a part, as lines of the scheme ``known``."""
     single, line = expanded(lines, known)
-    work = replace(work, room=_room(attack, where, memory, len(single), work))
+    work = replace(work, room=_room(attack, where, memory, len(single), single.appearance.width, work))
     work.shards.check(len(single))
     work.journal.begin(_about(single, attack, name))
     frame = frame_of(lines, known, recognised)
@@ -221,7 +225,8 @@ def assist(attack: Attack, shards: Shards, *, device: str = "cpu", memory: float
         _check_same(shards, attack, where)
         elements, known = _received(shards, where)
         attack = attack.for_scheme(known)
-        work = replace(work, room=_room(attack, where, memory, len(elements), work))
+        numbers = sum(value.shape[1] for value in elements.attributes.values() if isinstance(value, Tensor))
+        work = replace(work, room=_room(attack, where, memory, len(elements), numbers, work))
         _collected(locate(attack, elements, work), len(elements), work)
 
 
@@ -249,11 +254,15 @@ def _in_map_order(estimate: Estimate, row: Int[Tensor, " lines"]) -> Estimate:
     return Estimate(estimate.beta[order], estimate.confidence[order], named, estimate.affinity[order], element, logits)
 
 
-def _room(attack: Attack, where: torch.device, memory: float | None, lines: int, work: Work) -> int | None:
-    """Bytes for the blocks of this process; None for no limit."""
+def _room(
+    attack: Attack, where: torch.device, memory: float | None, lines: int, numbers: int, work: Work
+) -> int | None:
+    """Bytes for the blocks of this process; None for no limit. Each process has ``numbers`` of every line."""
     if attack.line_bytes is None or (memory is None and where.type != "cpu"):
         return None
-    return allotted(memory, math.ceil(lines / work.shards.processes), attack.line_bytes)
+    processes = work.shards.processes
+    line_bytes = attack.line_bytes + processes * _NUMBER_BYTES * numbers
+    return allotted(memory, math.ceil(lines / processes), line_bytes)
 
 
 def _about(lines: LineCloud, attack: Attack, name: str) -> dict[str, Any]:

@@ -77,11 +77,25 @@ class Appearance:
         """Descriptors as float32 whose differences mean something: those that are strings of bits as their bits."""
         if self.descriptor is None:
             return None
-        binary = self.descriptor.dtype == np.uint8 and (
-            self.descriptor_kind in BINARY_KINDS
-            or (self.descriptor_kind == UNKNOWN_KIND and (self.descriptor >= 128).mean() > _HIGH_BITS)
+        return (np.unpackbits(self.descriptor, axis=1) if self._of_bits else self.descriptor).astype(np.float32)
+
+    @property
+    def width(self) -> int:
+        """Numbers of each row: those of the colour, and of :meth:`numbers`."""
+        bits = 8 if self._of_bits else 1
+        return (0 if self.rgb is None else 3) + (0 if self.descriptor is None else bits * self.descriptor.shape[1])
+
+    @property
+    def _of_bits(self) -> bool:
+        """Whether the descriptors are strings of bits."""
+        return (
+            self.descriptor is not None
+            and self.descriptor.dtype == np.uint8
+            and (
+                self.descriptor_kind in BINARY_KINDS
+                or (self.descriptor_kind == UNKNOWN_KIND and bool((self.descriptor >= 128).mean() > _HIGH_BITS))
+            )
         )
-        return (np.unpackbits(self.descriptor, axis=1) if binary else self.descriptor).astype(np.float32)
 
     def check_rows(self, rows: int, of: str) -> None:
         """Refuse attributes that are not of ``rows`` points or lines; ``of`` names them."""
