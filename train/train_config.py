@@ -207,6 +207,8 @@ def check_schedule(resolved: dict[str, Any], least: dict[str, int]) -> None:
 def _check(resolved: dict[str, Any]) -> None:
     check_schedule(resolved, _LEAST)
     scheme_of(resolved["scheme"])
+    if resolved["steps"] == 0 and resolved["start"] is None:
+        raise InputError("got steps 0; expected at least 1, or start=FILE, whose weights get a new embedding")
     if not resolved["scenes"] and not resolved["maps"] and resolved["simulated"] < 1:
         raise InputError("got no scenes and no simulated ones; expected scenes=[FOLDER] or simulated=12")
     if not 0 <= resolved["absent"] <= 1:
