@@ -45,6 +45,8 @@ _LARGEST_S = 35.9
 #: Median distance of lines from a place, as a share of its own from the origin, that may be rounding to single
 #: precision or to some seven digits.
 _SINGLE = 2e-7
+#: Distance of nearly all lines from one centre, over their median, if both are rounding.
+_ROUNDINGS = 10.0
 #: Least share of the lines that are the same as, or parallel to, another: a few do no harm.
 _LEAST_REPEATED = 0.01
 #: Share of the lines in centres, or in bundles, from which the sentence speaks of all lines.
@@ -233,6 +235,8 @@ def _roughly_centred(lines: LineCloud, cloud: meeting.Centred) -> Recognition | 
     to each other, but of uniform directions.
     """
     near = 0 < cloud.unit <= _SINGLE * np.linalg.norm(cloud.place)
+    # Of two centres, half of the lines may be as near to one, and the others are not.
+    near = near and np.quantile(np.linalg.norm(cloud.moment, axis=1), _NEARLY_ALL) <= _ROUNDINGS
     if not near or direction_statistic(lines.direction) <= _LARGEST_S:
         return None
     family = np.zeros(len(lines), dtype=np.int64)

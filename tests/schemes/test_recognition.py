@@ -174,6 +174,14 @@ def test_one_centre_is_recognised_through_the_rounding_of_a_text_file(form: str,
     assert (found.kind, found.scheme, found.expected) == (recognition.ONE_CENTRE, "sphere", False), found.sentence
 
 
+def test_two_centres_are_two_if_half_of_the_lines_pass_through_one() -> None:
+    rng = np.random.default_rng(8)
+    for trial in range(10):
+        points, centers = _surface(300, rng), rng.normal(size=(2, 3))
+        lines = LineCloud.through(points, points - centers[np.arange(300) % 99 // 50])  # 51 % through the first
+        assert recognise(lines).kind == recognition.FEW_CENTRES, trial
+
+
 def test_a_small_map_far_from_the_origin_is_no_centre() -> None:
     rng = np.random.default_rng(7)
     found = recognise(l2p.lift(_surface(1000, rng) * 0.05 + [5e5, 5.4e6, 100], seed=0))
