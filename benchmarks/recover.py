@@ -33,7 +33,9 @@ from harness import Cloud, Run, Setting, Taken, from_file, measured, print_table
 
 import l2p
 from l2p.attacks.named import named_attack
+from l2p.attacks.run import line_bytes_of
 from l2p.attacks.settings import METHODS
+from l2p.maps import ATTRIBUTES
 from l2p.work.memory import BASE, GIB, SMALLEST
 
 #: Memory limit in GiB that no attack here reaches: blocks have their fastest size.
@@ -52,10 +54,12 @@ HEADS_AGAINST = (
 )
 
 
-def promised(method: str, rounds: int | None, lines: int) -> float:
-    """Least GiB that a method needs by its own estimate for the number of lines; NaN if it has none."""
-    line_bytes = named_attack(method.split("+")[0], rounds=rounds).line_bytes or float("nan")
-    return (BASE + SMALLEST + lines * line_bytes) / GIB
+def promised(method: str, rounds: int | None, lines: l2p.LineCloud) -> float:
+    """Least GiB that a method needs by its own estimate for the lines and what it sees; NaN if it has none."""
+    name, *sees = method.split("+")
+    seen = lines.without([each for each in ATTRIBUTES if each not in sees])
+    line_bytes = line_bytes_of(named_attack(name, rounds=rounds), seen.appearance.width) or float("nan")
+    return (BASE + SMALLEST + len(lines) * line_bytes) / GIB
 
 
 def clouds(given: argparse.Namespace, folder: Path) -> Iterator[Cloud]:
@@ -67,7 +71,7 @@ def clouds(given: argparse.Namespace, folder: Path) -> Iterator[Cloud]:
         yield simulated(given.kind, count, folder)
 
 
-def setting(method: str, memory: str | None, lines: int, given: argparse.Namespace) -> Setting:
+def setting(method: str, memory: str | None, lines: l2p.LineCloud, given: argparse.Namespace) -> Setting:
     """Setting of a method with a memory limit."""
     known = {None: None, "fast": UNBOUNDED, "least": promised(method, given.rounds, lines) * (1 + 1e-9)}
     allowed = known[memory] if memory in known else float(memory or 0)
@@ -86,7 +90,7 @@ def rows(given: argparse.Namespace, folder: Path, above: list[str]) -> Iterator[
     """Yield a row for each cloud, limit and method; append runs above their memory limit to ``above``."""
     first = dict[tuple[str, str | None], float]()
     for cloud, memory in ((cloud, memory) for cloud in clouds(given, folder) for memory in given.memory):
-        settings = [setting(method, memory, len(cloud.lines), given) for method in given.methods]
+        settings = [setting(method, memory, cloud.lines, given) for method in given.methods]
         found = measured(cloud, settings, given.repeat, given.again)
         for way, taken in zip(settings, found, strict=True):
             seconds = float(np.median(taken.seconds))
@@ -111,7 +115,7 @@ def seconds_cells(cloud: Cloud, taken: Taken, way: Setting) -> list[str]:
 
 def memory_cells(cloud: Cloud, taken: Taken, way: Setting) -> list[str]:
     """Cells of the memory limit, the peak, the least estimate, and the bytes held per line."""
-    gib, least = float(np.median(taken.gib)), promised(way.method, way.rounds, len(cloud.lines))
+    gib, least = float(np.median(taken.gib)), promised(way.method, way.rounds, cloud.lines)
     held = max(0.0, (gib * GIB - BASE - SMALLEST) / len(cloud.lines))
     allowed = "" if way.memory in (None, UNBOUNDED) else f"{way.memory:.2f}"
     return [allowed, f"{gib:.2f}", f"{least:.2f}", f"{held:,.0f}"]
@@ -123,7 +127,7 @@ def show_parts(given: argparse.Namespace, folder: Path) -> None:
     for cloud in clouds(given, folder):
         size = len(cloud.lines)
         for method in given.methods:
-            found[method][size] = measured(cloud, [setting(method, given.memory[0], size, given)], 1)[0].run
+            found[method][size] = measured(cloud, [setting(method, given.memory[0], cloud.lines, given)], 1)[0].run
     for method, runs in found.items():
         parts = dict.fromkeys(part for run in runs.values() for part in run.parts)
         rows = [[part, *(f"{run.parts.get(part, 0):.1f}" for run in runs.values())] for part in parts]
@@ -137,7 +141,7 @@ def show_parts(given: argparse.Namespace, folder: Path) -> None:
 def rows_against(given: argparse.Namespace, folder: Path) -> Iterator[list[str]]:
     """Yield a row for each cloud and method: this checkout / another, alternating."""
     for cloud, method in ((cloud, method) for cloud in clouds(given, folder) for method in given.methods):
-        own = setting(method, given.memory[0], len(cloud.lines), given)
+        own = setting(method, given.memory[0], cloud.lines, given)
         other = replace(own, checkout=given.against.resolve())
         yield [method, f"{len(cloud.lines):,}", *compared(*measured(cloud, [own, other], given.repeat, given.again))]
 

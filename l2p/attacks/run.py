@@ -34,8 +34,8 @@ from l2p.work.progress import NO_PROGRESS, Progress
 from l2p.work.shards import Shards
 from l2p.work.work import ALONE, Work
 
-#: Bytes held per line for each number that is published beside it: in single precision in the order of the map, sorted,
-#: and twice those that a lesson learns from. Measured by ``benchmarks/recover.py``, with attributes.
+#: Bytes that each number published beside a line takes at most, by counting copies in single precision: in the order of
+#: the map, sorted, normalised, and two of those that a lesson learns from.
 _NUMBER_BYTES = 20
 
 
@@ -254,14 +254,21 @@ def _in_map_order(estimate: Estimate, row: Int[Tensor, " lines"]) -> Estimate:
     return Estimate(estimate.beta[order], estimate.confidence[order], named, estimate.affinity[order], element, logits)
 
 
+def line_bytes_of(attack: Attack, numbers: int, processes: int = 1) -> float | None:
+    """Bytes that a process holds per line of its own, with ``numbers`` published beside each; None: not bounded.
+
+    Each process has the numbers of every line.
+    """
+    return None if attack.line_bytes is None else attack.line_bytes + processes * _NUMBER_BYTES * numbers
+
+
 def _room(
     attack: Attack, where: torch.device, memory: float | None, lines: int, numbers: int, work: Work
 ) -> int | None:
-    """Bytes for the blocks of this process; None for no limit. Each process has ``numbers`` of every line."""
-    if attack.line_bytes is None or (memory is None and where.type != "cpu"):
+    """Bytes for the blocks of this process; None for no limit."""
+    line_bytes, processes = line_bytes_of(attack, numbers, work.shards.processes), work.shards.processes
+    if line_bytes is None or (memory is None and where.type != "cpu"):
         return None
-    processes = work.shards.processes
-    line_bytes = attack.line_bytes + processes * _NUMBER_BYTES * numbers
     return allotted(memory, math.ceil(lines / processes), line_bytes)
 
 
