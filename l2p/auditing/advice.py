@@ -82,7 +82,6 @@ def _publishing(verdict: Verdict) -> Advice:
 
 def _fewer(audit: Audit, decided: bool) -> Advice:
     """How much comes back where fewer points are published, as a share of the whole map, if that can be told."""
-    first, last = (_back(trial, audit.kept) for trial in (audit.strongest[0], audit.strongest[-1]))
     price = (
         "How well cameras are still localized stands below, under Which release?"
         if decided
@@ -90,6 +89,7 @@ def _fewer(audit: Audit, decided: bool) -> Advice:
     )
     if audit.few:
         return Advice("Publish fewer points.", price)
+    first, last = (_back(trial, audit.kept) for trial in (audit.strongest[0], audit.strongest[-1]))
     told = f"{first[0].upper()}{first[1:]} of the map come back; {last}. {price}"
     return Advice("Publish fewer points.", told)
 

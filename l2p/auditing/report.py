@@ -44,9 +44,6 @@ _FORMS: dict[Form, Callable[[Any], str]] = {
     Form.NUMBER: "{:.3f}".format,
 }
 
-#: Figures of the page where the map has too few points to measure by its spacing.
-_OF_FEW = ("lines", "median", "mean")
-
 
 def save_report(
     audit: Audit,
@@ -276,7 +273,7 @@ def _shown(audit: Audit) -> list[Figure]:
     """List the figures of the page that at least one trial has; of a map of few points, none that is measured by the
     spacing, but its errors as lengths."""
     scores = [trial.scores.figures for trial in audit.trials if trial.scores]
-    page = [each for each in figures() if (each.name in _OF_FEW if audit.few else each.page)]
+    page = [each for each in figures() if (not each.by_spacing if audit.few else each.page)]
     return [each for each in page if any(found[each.name] is not None for found in scores)]
 
 

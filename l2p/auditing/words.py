@@ -10,7 +10,7 @@ from l2p.auditing.audit import Audit
 from l2p.auditing.published_again import EXACT
 from l2p.auditing.trial import Trial
 from l2p.judging.intervals import interval
-from l2p.judging.measure import COUNTED_LINES
+from l2p.judging.measure import as_count
 from l2p.schemes.rounding import resolution_words
 from l2p.show.page.numbers import SPACE, count, fraction, length, percent
 
@@ -264,6 +264,5 @@ def sparser(audit: Audit) -> str:
 def _share(trial: Trial) -> str:
     """Share within 1 spacing; of a few lines, their number."""
     assert trial.within is not None
-    if trial.scores is not None and len(trial) <= COUNTED_LINES:
-        return f"{round(trial.within * len(trial))} of {len(trial)}"
-    return percent(trial.within)
+    counted = "" if trial.scores is None else as_count(trial.within, len(trial))
+    return counted or percent(trial.within)

@@ -26,6 +26,15 @@ COUNTED_LINES = 20
 Value = float | None
 
 
+def as_count(share: float, lines: int) -> str:
+    """A share of ``COUNTED_LINES`` lines or fewer as their number; empty for more.
+
+    >>> as_count(2 / 3, 3), as_count(0.5, 1000)
+    ('2 of 3', '')
+    """
+    return f"{round(share * lines)} of {lines}" if lines <= COUNTED_LINES else ""
+
+
 def geometric_mean(values: Sequence[Any]) -> float:
     """Geometric mean of positive numbers."""
     return float(np.exp(np.log(np.maximum(values, LEAST)).mean()))
@@ -102,10 +111,10 @@ class Figure:
         """Heading below ``over``."""
         return self.under or (self.group[1] if self.group else self.heading)
 
-    def counted(self, value: Value, lines: int) -> str:
-        """A share of so few lines as their number; empty for others, and for figures of another kind."""
+    def counted(self, value: float, lines: int) -> str:
+        """A share of few lines as their number; empty for many, and for figures that are no share of all lines."""
         of_all = self.group is not None and self.group[0] in ("within_spacings", "within_cm")
-        return f"{round(value * lines)} of {lines}" if of_all and value is not None and lines <= COUNTED_LINES else ""
+        return as_count(value, lines) if of_all else ""
 
     @property
     def by_spacing(self) -> bool:

@@ -96,9 +96,10 @@ def test_a_map_of_few_points_has_lengths_and_counts_and_no_shares_of_spacings(tm
     assert run("audit", tmp_path / "few.npz", "-o", tmp_path / "report", *words) == 0
     said, page = capsys.readouterr().out, (tmp_path / "report" / "index.html").read_text()
     assert "median error (scene units)" in said and "of 6" in said and "too few to measure by a spacing" in said
-    for words in ("within 1 spacing", "calibration error", "Leaving out", "of the points are recovered"):
-        assert words not in said
+    for each in ("within 1 spacing", "calibration error", "Leaving out", "of the points are recovered"):
+        assert each not in said
     assert "Median error (scene units)" in page and "Recovered within … spacings" not in page
+    assert "Recovered within … cm" in page, "as in the terminal"
 
 
 def test_the_command_in_the_report_gives_it_again(files, tmp_path, monkeypatch):
